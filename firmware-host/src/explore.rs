@@ -59,7 +59,7 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     )?;
     let robot = Robot::new(config.robot(&mission), network)?;
     prepare_dir(&args.out)?;
-    // Also without a recording: the summary of another run would be written over.
+    // This is checked without a recording, too: the summary of another run would be overwritten.
     refuse_old_recording(&args.out)?;
     let plan = args.faults.plan(args.frames as f64 * config.base.tick_s());
     let header = header(args, &config, &mission, model.as_deref(), &plan)?;

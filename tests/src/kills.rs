@@ -35,7 +35,7 @@ pub struct KillSchedule {
 }
 
 impl KillSchedule {
-    /// For a program with this approximate run time.
+    /// A schedule for a program with this approximate run time.
     #[must_use]
     pub fn new(seed: u64, whole: Duration) -> Self {
         Self { rng: Pcg64Mcg::seed_from_u64(seed), clock: MonotonicClock, whole }

@@ -38,16 +38,16 @@ pub struct Scenario {
     observer: ScenarioObserver,
 }
 
-/// One tick as seen from outside.
+/// One tick as an observer of the robot sees it.
 #[derive(Debug, Clone)]
 pub struct Tick {
-    /// What the robot decided.
+    /// The robot's decision.
     pub decision: Decision,
     /// Every command that the base received since the previous tick.
     pub sent: Vec<SentCommand>,
-    /// Where the robot really is: `t_world_base`.
+    /// True pose of the robot, `t_world_base`.
     pub pose: Pose2,
-    /// Whether the robot really touched something since the previous tick.
+    /// Whether the robot touched an obstacle since the previous tick (ground truth).
     pub contact: bool,
 }
 
@@ -60,7 +60,8 @@ impl Tick {
 }
 
 impl Scenario {
-    /// A robot with a small camera in an apartment, with injected faults; `random` stands for a minute of random faults.
+    /// A robot with a small camera in an apartment, with injected faults. The fault `random` is replaced by a minute of
+    /// random faults.
     ///
     /// # Errors
     /// A text that is not a fault. A built-in home that cannot be opened or a default configuration that is refused is a defect
@@ -69,7 +70,7 @@ impl Scenario {
         Self::with_laser(policy, faults, seed, LaserModel::UTM_30LX)
     }
 
-    /// The same with another scanner.
+    /// As [`new`](Self::new), with another scanner.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -100,7 +101,8 @@ impl Scenario {
         Ok(Self { session, truth: simulated.devices().truth, observer })
     }
 
-    /// From now on every tick is also decided by a second robot, which starts from a snapshot of this one every few ticks.
+    /// Adds a second robot, the shadow, which decides every tick as well and starts again from a snapshot of the first
+    /// one every few ticks.
     ///
     /// # Errors
     /// As [`successor`].
@@ -109,7 +111,7 @@ impl Scenario {
         Ok(self)
     }
 
-    /// The robot.
+    /// The robot, for reading its state.
     #[must_use]
     pub fn robot(&self) -> &Robot {
         self.session.robot()
@@ -120,7 +122,7 @@ impl Scenario {
         self.session.devices_mut().clock_mut().inner_mut().request(request);
     }
 
-    /// One tick of the loop.
+    /// Runs one tick of the loop.
     ///
     /// # Errors
     /// When the shadow decides otherwise, or the wheels have never reported.
@@ -133,7 +135,7 @@ impl Scenario {
         Ok(Tick { decision, sent, pose: self.truth.pose(), contact })
     }
 
-    /// Many ticks.
+    /// Runs `count` ticks.
     ///
     /// # Errors
     /// As [`tick`](Self::tick).

@@ -180,7 +180,7 @@ fn a_stream_that_keeps_failing_is_restarted_at_a_bounded_rate() {
         bench.camera.fail();
         _ = bench.wait_ms(10);
     }
-    // In 10 s: one restart, then attempts after 100, 200, 400, ... ms.
+    // In 10 s there is one restart, then there are attempts after 100, 200, 400, ... ms.
     assert!((3..12).contains(&bench.camera.opened()), "{}", bench.camera.opened());
 }
 
@@ -202,7 +202,7 @@ fn a_frame_older_than_its_budget_is_never_returned() {
     let mut bench = Bench::working();
     bench.now_ns += INTERVAL;
     assert!(bench.camera.deliver(bench.now_ns, 2));
-    // As after a SIGSTOP of this process: the queue is full of old frames.
+    // As after a SIGSTOP of this process, the queue is full of old frames.
     assert_eq!(bench.wait_ms(201), Ok(None));
     assert_eq!((bench.status().good, bench.status().bad), (1, 1));
     assert_eq!(bench.deliver(3).unwrap().value, 3, "the next frame is recent");

@@ -1,4 +1,4 @@
-//! A robot whose devices misbehave stops when it must, says why, and goes on when it can.
+//! A robot whose devices fail stops when it must, reports the reason, and continues when it can.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
 use hal::{Pose2, Twist2};
@@ -141,7 +141,7 @@ fn a_bumper_switch_that_is_stuck_is_given_up_after_three_contacts_and_a_person_s
 
 #[test]
 fn a_scanner_whose_scans_come_too_late_is_as_silent_as_one_that_says_nothing() {
-    // Scans come every 30 ms; ten scans late, each is older than the 0.2 s by which the robot may drive.
+    // Scans come every 30 ms. With a delay of ten scans, each is older than the 0.2 s up to which the robot may use it.
     let ticks = run(PolicyKind::Forward, &["lidar:delay=10@3..5"], 80);
     assert!(at(&ticks, 3.5..5.0).iter().all(|tick| tick.command() == Twist2::ZERO));
     assert!(faulted(at(&ticks, 3.0..3.5), FaultReason::LidarSilent));
@@ -233,8 +233,8 @@ fn a_loop_that_is_woken_late_stops_the_robot_and_time_never_goes_back() {
     assert!(path_m(at(&ticks, 5.0..8.0)) > 0.3, "it goes on");
 }
 
-/// Obstacles lower than the scan plane (0.18 m) are seen by no sensor within 2 m of the default mount (docs/faults.md): one touch
-/// of such a thing in six minutes is known, and is no reason to choose other seeds.
+/// No sensor sees obstacles lower than the scan plane (0.18 m) within 2 m of the default mount (docs/faults.md). One
+/// touch of such an obstacle in six minutes is known; the seeds are not chosen to avoid it.
 #[test]
 fn in_minutes_of_random_faults_only_what_no_sensor_sees_is_touched_and_all_repeats_exactly() {
     let mut touched = Vec::new();

@@ -53,7 +53,7 @@ enum Event {
     Contact,
     /// The program is started again, with `arm_at_start`.
     Restart,
-    /// A person looks at the robot and arms it.
+    /// A person inspects the robot and arms it.
     Person,
     /// Time passes.
     Wait,
@@ -75,7 +75,7 @@ struct Model {
     robot: Composition,
     is_powered: bool,
     scanner_is_silent: bool,
-    /// Somebody asked for motion after the last event that needs a person.
+    /// A person asked for motion after the last event that needs a person.
     is_granted: bool,
     /// Time of the last event that needs a person.
     revoked_ns: u64,
@@ -131,7 +131,8 @@ impl Model {
             }
             Event::EmergencyStop => {
                 self.robot.pressed = !self.robot.pressed;
-                // A board that is unplugged cannot report it. It reports it when it is back.
+                // A board that is unplugged cannot report the emergency stop. It reports it when it is plugged in
+                // again.
                 if !self.robot.board_is_silent {
                     self.lose_or_return(self.robot.pressed);
                 }
@@ -151,7 +152,7 @@ impl Model {
             }
             Event::Contact => {}
             Event::Restart => {
-                // As `run` does: not after a stop that needs a person.
+                // As in `run`, the robot is not armed at the start after a stop that needs a person.
                 let held =
                     matches!(self.robot.state(), SafetyState::Fault(why) if why.needs_person());
                 self.robot.restart_program().expect("the same configuration");
@@ -169,7 +170,7 @@ impl Model {
         self.run(STEPS);
     }
 
-    /// Steps, and checks the invariant after each.
+    /// Runs steps, and checks the invariant after each.
     fn run(&mut self, steps: usize) {
         for _ in 0..steps {
             self.robot.step(None);
@@ -188,7 +189,7 @@ impl Model {
         }
     }
 
-    /// The abstract state.
+    /// The abstract state, as the key of visited states.
     fn key(&self) -> String {
         let robot = &self.robot;
         let state = match robot.state() {

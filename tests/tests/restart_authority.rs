@@ -1,5 +1,6 @@
-//! Nothing moves unless a person asked for it since: the real safety loop and base driver, with
-//! simulated controllers of all three protocols that lose power, restart, fall silent and boot.
+//! Nothing moves unless a person asked for it after the last event that needs a person: the real
+//! safety loop and base driver, with simulated controllers of all three protocols that lose power,
+//! restart, fall silent and boot.
 #![allow(missing_docs, clippy::expect_used, clippy::panic)]
 
 use drivers::can::{BaseConfig, Protocol};
@@ -116,7 +117,7 @@ fn an_emergency_stop_that_is_pressed_for_one_frame_only_is_seen() {
 #[test]
 fn an_emergency_stop_wins_in_every_state() {
     for protocol in ALL {
-        // While the scanner is silent.
+        // The emergency stop is pressed while the scanner is silent.
         let mut waits = driving(with_board(protocol));
         waits.silence_scanner(true);
         waits.steps(50);
@@ -126,7 +127,7 @@ fn an_emergency_stop_wins_in_every_state() {
         waits.steps(50);
         waits.pressed = false;
         stands_until_a_person_arms_it(&mut waits, &format!("{protocol:?}: without a scanner"));
-        // While the motors are being armed, and at power-on.
+        // The emergency stop is pressed while the motors are being armed, and at power-on.
         for wait in [0, 1, 5, 20, 60] {
             let mut arming = with_board(protocol);
             arming.steps(50);

@@ -1,4 +1,5 @@
-//! A robot that begins from another's snapshot goes on as that one, whatever it was doing.
+//! A robot that starts from another robot's snapshot continues exactly as that one, whatever its
+//! state was.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
 use hil::{Scenario, successor};

@@ -5,7 +5,8 @@ use anyhow::Result;
 use crate::tables::{self, Table};
 use crate::{command, models, onnx_runtime, paths, peers, trainer};
 
-/// Measures. With `update`, the table goes into docs/data/bench.json and docs/benchmarks.md.
+/// Runs the benchmarks. With `update`, the table goes into docs/data/bench.json and
+/// docs/benchmarks.md.
 pub fn run(json: bool, update: bool, filter: Option<&str>) -> Result<()> {
     let mut bench = command::cargo();
     bench.args(["run", "--release", "--quiet", "--locked", "--package", "bench", "--"]);

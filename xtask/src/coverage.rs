@@ -46,8 +46,8 @@ pub fn run() -> Result<()> {
 /// Builds the test executable with counters and returns its path, which cargo reports as JSON.
 fn build(safety: &Path) -> Result<PathBuf> {
     let mut cargo = command::cargo();
-    // A target directory of its own, because some crates are rebuilt whenever `RUSTC_BOOTSTRAP`
-    // changes.
+    // The build has a target directory of its own, because some crates are rebuilt whenever
+    // `RUSTC_BOOTSTRAP` changes.
     cargo
         .current_dir(safety)
         .env("RUSTC_BOOTSTRAP", "1")

@@ -1,6 +1,6 @@
-//! `cargo xtask loop`: the whole data loop on this computer. A simulated robot explores and records, `pull-buffer` copies the
-//! recordings to the workstation over a real ssh server on loopback, the trainer trains on them, `push-model` sends the network
-//! back, the robot's gate judges it, and the robot drives on with it, on trial.
+//! `cargo xtask loop`: the whole data loop on this computer. A simulated robot explores and records, `pull-buffer`
+//! copies the recordings to the workstation over a real ssh server on loopback, the trainer trains on them,
+//! `push-model` sends the network back, the robot's gate judges it, and the robot continues with it, on trial.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read};

@@ -8,14 +8,14 @@ use crate::{command, onnx_runtime, paths};
 
 const SCENE: &str = "builtin:apartment?seed=1";
 const FRAMES: &str = "3000";
-/// See firmware-host/models/README.md.
+/// The default network; firmware-host/models/README.md describes it.
 const MODEL: &str = "firmware-host/models/default.onnx";
 
 pub fn run() -> Result<()> {
     let model = match onnx_runtime::install() {
         Ok(_) => Some(paths::root().join(MODEL)),
         Err(error) => {
-            // Not an error: the robot also explores with coarse depth alone.
+            // A missing network is not an error: the robot also explores with coarse depth alone.
             println!("no depth network ({error}); the robot explores with coarse depth");
             None
         }
@@ -54,7 +54,7 @@ pub fn run() -> Result<()> {
     }
     println!("> {}", command::text(&explore));
     let start = Instant::now();
-    // It prints its results and where its files are.
+    // The program prints its results and the paths of its files.
     command::run(&mut explore)?;
     let seconds = start.elapsed().as_secs_f64();
     let depth = if model.is_some() {

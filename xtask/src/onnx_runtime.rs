@@ -24,7 +24,7 @@ const WHEELS: [&str; 2] = [
 /// missing.
 ///
 /// # Errors
-/// When it cannot be installed, with the reason and the way out.
+/// When it cannot be installed, with the reason and the remedy.
 pub fn install() -> Result<PathBuf> {
     if let Some(path) = std::env::var_os("ORT_DYLIB_PATH").filter(|path| !path.is_empty()) {
         let path = paths::root().join(path);

@@ -8,8 +8,8 @@ use anyhow::{Result, bail, ensure};
 
 use crate::{command, docs, licences, nextest, onnx_runtime, paths, peers, quality, trainer};
 
-/// Rounded up from the parts on 2 cores without the trainer: dependencies 5 minutes, the project's crates 5, tests 5,
-/// quality 1.
+/// Estimated duration of the first run on 2 cores without the trainer, rounded up: dependencies 5 minutes, the
+/// project's crates 5, tests 5, quality 1.
 const FIRST_RUN_MIN: u32 = 20;
 const LATER_RUN_MIN: u32 = 10;
 

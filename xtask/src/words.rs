@@ -7,7 +7,7 @@ mod tests {
 
     use crate::paths;
 
-    /// Not allowed in the string literals and the command-line help of programs, and in documents.
+    /// Words that are not allowed in the string literals and the command-line help of programs, and in documents.
     const BANNED: [&str; 23] = [
         "nobody",
         "somebody",

@@ -13,7 +13,7 @@ use simulator::render::{Lighting, Renderer};
 use simulator::scene::{Material, Scene};
 
 const CAMERA_HEIGHT_M: f64 = 0.8;
-/// In the order of [`simulator::homes::Surface`].
+/// The names of the kinds of surface, in the order of [`simulator::homes::Surface`].
 const CLASSES: [&str; 7] =
     ["floor", "ceiling", "wall", "opening", "fixture", "furniture", "outside"];
 
@@ -52,7 +52,7 @@ fn draw(kind: HomeKind, options: &HomeOptions, out: &Path) -> Result<(), Box<dyn
     views(&home, &out.join(format!("{name}-views.png")))
 }
 
-/// Looking down on everything below 2.1 m.
+/// Draws the plan from above: everything below 2.1 m.
 fn plan(home: &Home) -> Result<image::RgbImage, Box<dyn Error>> {
     const PER_M: f32 = 60.0;
     let far = home
@@ -175,7 +175,7 @@ fn views(home: &Home, path: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The same shapes, each in a grey that encodes its kind of surface.
+/// The scene with the same shapes, each in a grey that encodes its kind of surface.
 fn labelled(home: &Home) -> Scene {
     let mut scene = home.scene.clone();
     for (triangle, surface) in scene.triangles.iter_mut().zip(&home.surfaces) {

@@ -36,11 +36,11 @@ hal::settings! {
 #[error("nuisance `{field}` is {value}, but must be from {allowed}")]
 #[non_exhaustive]
 pub struct NuisanceError {
-    /// Field of [`Nuisances`].
+    /// Name of the field of [`Nuisances`].
     pub field: &'static str,
-    /// Its value.
+    /// The refused value.
     pub value: f64,
-    /// The allowed range.
+    /// The range of allowed values.
     pub allowed: &'static str,
 }
 
@@ -139,7 +139,7 @@ mod tests {
         assert!((gains[0] - 1.0).abs() < 1e-12);
         assert!(low >= (-0.5_f64).exp2() && high <= 0.5_f64.exp2());
         assert!(high / low > 1.7, "{low} to {high}");
-        // From one frame to the next it moves little.
+        // The gain changes little from one frame to the next.
         assert!(gains.windows(2).all(|g| (g[1] / g[0] - 1.0).abs() < 0.02));
     }
 

@@ -8,13 +8,13 @@ use rand_pcg::Pcg64Mcg;
 /// One person at one moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Person {
-    /// Where the body's axis meets the floor (z = 0), world frame, metres.
+    /// Position at which the body's axis meets the floor (z = 0), world frame, metres.
     pub position_m: [f64; 2],
     /// Heading of the person, radians.
     pub yaw_rad: f64,
     /// Phase of the gait, radians; 0 means feet together.
     pub stride_rad: f64,
-    /// From sole to crown, metres.
+    /// Height from sole to crown, metres.
     pub height_m: f64,
     pub clothes: Clothes,
 }
@@ -22,7 +22,7 @@ pub struct Person {
 /// Linear-light colours of a person.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clothes {
-    /// Torso and arms.
+    /// Colour of the torso and the arms.
     pub shirt: [f32; 3],
     pub trousers: [f32; 3],
     pub skin: [f32; 3],

@@ -16,7 +16,7 @@ pub struct Vertex {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Triangle {
     pub vertices: [Vertex; 3],
-    /// Index into [`Scene::materials`].
+    /// Index of the material in [`Scene::materials`].
     pub material: u32,
 }
 
@@ -28,8 +28,8 @@ pub enum LidarResponse {
     Diffuse,
     /// The beam passes: clear glass with something behind it.
     Glass,
-    /// The beam goes away and does not return, unless it hits the surface almost perpendicularly:
-    /// black lacquer, and a window with the open air behind it.
+    /// The beam is absorbed or leaves the scene, and does not return unless it hits the surface almost
+    /// perpendicularly: black lacquer, and a window with the open air behind it.
     Absorbing,
 }
 
@@ -38,7 +38,7 @@ pub struct Material {
     pub name: String,
     /// Linear-light colour, which is multiplied with the texture.
     pub base_color: [f32; 3],
-    /// Index into [`Scene::textures`].
+    /// Index of the texture in [`Scene::textures`]; `None` for a plain colour.
     pub texture: Option<u32>,
     /// Texels with alpha below this value are holes; `None` means opaque.
     pub alpha_cutoff: Option<f32>,

@@ -114,7 +114,7 @@ pub enum CanError {
     /// A number in the configuration is out of its range.
     #[error("base: {field} is {value}, allowed: {allowed}")]
     Config {
-        /// Field of [`BaseConfig`](super::BaseConfig).
+        /// Name of the field of [`BaseConfig`](super::BaseConfig).
         field: &'static str,
         value: String,
         allowed: String,

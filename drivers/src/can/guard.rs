@@ -79,8 +79,8 @@ mod tests {
         let mut guard = WheelGuard::default();
         let mut measured = 0.3;
         for tick in 0..200 {
-            // From 0.3 m/s forwards to 0.3 m/s backwards at 1 m/s², followed with a time constant
-            // of 80 ms.
+            // The command goes from 0.3 m/s forwards to 0.3 m/s backwards at 1 m/s², and the wheel
+            // follows it with a time constant of 80 ms.
             let commanded = (0.3 - f64::from(tick) * 0.01).max(-0.3);
             measured += (commanded - measured) * 0.01 / 0.08;
             guard.commanded(commanded, measured, TICK_NS);

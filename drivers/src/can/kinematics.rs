@@ -75,7 +75,7 @@ impl Odometry {
         self.pose = self.pose.compose(&step.integrate(1.0));
     }
 
-    /// The pose `t_odom_base`.
+    /// The current pose, `t_odom_base`.
     #[must_use]
     pub fn pose(&self) -> Pose2 {
         self.pose
@@ -146,7 +146,7 @@ mod tests {
         for _ in 0..robots {
             let mut robot = Odometry::new(DRIVE, 0.0);
             for _ in 0..steps {
-                // Box-Muller transform.
+                // Box-Muller transform: two uniform numbers give a normally distributed one.
                 let radius = (-2.0 * uniform(&mut state).ln()).sqrt();
                 let (sin, cos) = (TAU * uniform(&mut state)).sin_cos();
                 let noise = [radius * sin, radius * cos];

@@ -32,8 +32,8 @@ impl Limiter {
         self.share = 0.0;
     }
 
-    /// Returns the velocity `seconds` later on the way to `desired`. When a number is not finite or
-    /// the time is not positive, returns `None` and changes nothing.
+    /// Returns the velocity after another `seconds` of the transition to `desired`. When a number is
+    /// not finite or the time is not positive, returns `None` and changes nothing.
     pub fn step(&mut self, desired: &Twist2, seconds: f64) -> Option<Twist2> {
         let is_time = seconds > 0.0 && seconds.is_finite();
         if !(desired.is_finite() && is_time) {

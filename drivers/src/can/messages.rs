@@ -11,11 +11,11 @@ use hal::Twist2;
 use super::frame::{CanFrame, CanId};
 use super::protocol::crc::crc8;
 
-/// Id of [`BaseCommand`].
+/// Identifier of the frame of [`BaseCommand`], 29 bits.
 pub const COMMAND_ID: u32 = 0x00ed_0000;
-/// Id of [`BaseState`].
+/// Identifier of the frame of [`BaseState`], 29 bits.
 pub const STATE_ID: u32 = 0x00ed_0001;
-/// Id of [`SafetyInput`].
+/// Identifier of the frame of [`SafetyInput`], 29 bits.
 pub const SAFETY_ID: u32 = 0x00ed_0002;
 
 /// The host's command to the wheels, sent once per tick.

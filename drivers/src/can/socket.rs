@@ -118,7 +118,7 @@ fn classify(error: &std::io::Error) -> SendProblem {
 impl CanBus for SocketBus {
     fn send(&mut self, frame: &CanFrame) -> Result<(), SendProblem> {
         let socket = self.socket.as_mut().ok_or(SendProblem::Gone)?;
-        // A single `write`, because `write_frame_insist` spins on a full queue.
+        // This is a single `write`, because `write_frame_insist` spins on a full queue.
         match socket.write(&record::encode(frame)) {
             Ok(record::RECORD_BYTES) => Ok(()),
             Ok(_) => Err(SendProblem::Code(0)),

@@ -87,7 +87,7 @@ impl<B: Base> Base for FaultyBase<B> {
         if self.buffer.take_due(&mut wheel) {
             return Ok(Some(wheel));
         }
-        // Polled during a silence too: readings taken then are lost, not delayed.
+        // The base is polled during a silence as well: readings of that time are lost, not delayed.
         let new = self.inner.poll_feedback().map_err(FaultyError::Device)?;
         self.injector.check()?;
         if self.injector.is_silent() {

@@ -44,7 +44,7 @@ impl<C: Camera> FaultyCamera<C> {
             frame.data.truncate(bytes);
         }
         if self.injector.triggers(Kind::Corrupt) {
-            // Like a broken-off transfer: random bytes from some position on.
+            // As after a broken-off transfer, the bytes from some position on are random.
             let from = self.injector.rng().random_range(0..=frame.data.len());
             if let Some(rest) = frame.data.get_mut(from..) {
                 self.injector.rng().fill(rest);
@@ -66,7 +66,7 @@ impl<C: Camera> Camera for FaultyCamera<C> {
         if self.buffer.take_due(frame) {
             return Ok(true);
         }
-        // Polled during a silence too: frames taken then are lost, not delayed.
+        // The camera is polled during a silence as well: frames of that time are lost, not delayed.
         let is_new = self.inner.poll_frame(frame).map_err(FaultyError::Device)?;
         self.injector.check()?;
         if self.injector.is_silent() {

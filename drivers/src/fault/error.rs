@@ -63,13 +63,13 @@ fn all_kinds() -> String {
 /// How an injected fault appears to the caller of the device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Symptom {
-    /// As if the device were unplugged.
+    /// The device appears to be unplugged.
     #[error("not there (an injected fault)")]
     Unplugged,
-    /// As if the device had stopped sending.
+    /// The device appears to have stopped sending.
     #[error("silent (an injected fault)")]
     Silent,
-    /// As if a reading had failed its checksum.
+    /// A reading appears to have failed its checksum.
     #[error("a reading failed its checksum (an injected fault)")]
     Corrupt,
 }

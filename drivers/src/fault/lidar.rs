@@ -70,7 +70,7 @@ impl<L: Lidar> Lidar for FaultyLidar<L> {
         if self.buffer.take_due(scan) {
             return Ok(true);
         }
-        // Polled during a silence too: scans taken then are lost, not delayed.
+        // The scanner is polled during a silence as well: scans of that time are lost, not delayed.
         let is_new = self.inner.poll_scan(scan).map_err(FaultyError::Device)?;
         self.injector.check()?;
         if self.injector.is_silent() {

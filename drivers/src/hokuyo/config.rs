@@ -19,7 +19,7 @@ const TCP_PORT: u16 = 10_940;
 pub enum Port {
     /// A serial port or USB CDC-ACM device. Use a path that stays the same after the device was unplugged.
     Serial(PathBuf),
-    /// An Ethernet model.
+    /// An Ethernet model at a TCP address.
     Tcp {
         /// Address or host name.
         host: String,

@@ -131,7 +131,8 @@ impl Lidar for HokuyoLidar {
     }
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Self::Error> {
-        // Taken before the check, so that a scan from before a fault is not returned after it.
+        // The scan is taken before the check, so that a scan from before a fault is not returned
+        // after it.
         let is_new = self.scans.update();
         let bad = self.monitor.shared.bad.load(Relaxed);
         let has_dropped = std::mem::replace(&mut self.bad_reported, bad) != bad;

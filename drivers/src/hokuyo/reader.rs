@@ -296,7 +296,7 @@ impl<'a> Stream<'a> {
         if std::mem::take(&mut self.is_reopened) {
             self.shared.reopened.fetch_add(1, Relaxed);
         }
-        // Set last, because the polling side returns no scan before.
+        // The state is set last, because the polling side returns no scan before it is.
         self.shared.set_state(DeviceState::Working);
     }
 }

@@ -54,8 +54,8 @@ impl ClockSync {
         ))
     }
 
-    /// For a sensor that does not report its time. Assumes that a scan arrives one period after its
-    /// start.
+    /// The clock of a sensor that does not report its time. It assumes that a scan arrives one
+    /// period after its start.
     #[must_use]
     pub fn from_scan(stamp_ms: u32, arrival_ns: u64, period_ns: u64) -> Self {
         Self::new(arrival_ns as i64 - period_ns as i64 - i64::from(stamp_ms) * MS, period_ns)

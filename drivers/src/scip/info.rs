@@ -41,7 +41,7 @@ pub struct Parameters<'a> {
     pub last_step: u32,
     /// The step that points straight ahead.
     pub front_step: u32,
-    /// Revolutions per minute.
+    /// Speed of the mirror, revolutions per minute.
     pub rpm: u32,
 }
 
@@ -68,7 +68,7 @@ impl<'a> Parameters<'a> {
 /// The sensor's state (`II`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct State<'a> {
-    /// `ON` or `OFF`.
+    /// State of the laser: `ON` or `OFF`.
     pub laser: Option<&'a str>,
     /// Whether and how the sensor measures.
     pub measurement: Option<&'a str>,

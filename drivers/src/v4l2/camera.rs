@@ -38,7 +38,8 @@ impl V4l2Camera {
         Self::with_opener(config, model, Box::new(move || open(&device)))
     }
 
-    /// As [`new`](Self::new), with another way to open the camera, for tests and simulated cameras.
+    /// As [`new`](Self::new), with another function that opens the camera, for tests and simulated
+    /// cameras.
     ///
     /// # Errors
     /// As [`new`](Self::new).

@@ -76,7 +76,7 @@ impl CameraFormat {
         }
     }
 
-    /// The same format in [`hal`].
+    /// The corresponding format in [`hal`].
     #[must_use]
     pub fn pixels(self) -> PixelFormat {
         match self {

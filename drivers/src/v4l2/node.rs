@@ -13,11 +13,11 @@ use rustix::io::Errno;
 pub struct FourCc(pub u32);
 
 impl FourCc {
-    /// YUV 4:2:2 packed.
+    /// The code of YUV 4:2:2 packed.
     pub const YUYV: Self = Self::new(b"YUYV");
-    /// YUV 4:2:0, both planes in one buffer.
+    /// The code of YUV 4:2:0 with both planes in one buffer.
     pub const NV12: Self = Self::new(b"NV12");
-    /// 24 bits per pixel, red first.
+    /// The code of 24 bits per pixel, red first.
     pub const RGB24: Self = Self::new(b"RGB3");
     pub const MJPEG: Self = Self::new(b"MJPG");
     /// Another code that some drivers use for Motion JPEG.
@@ -86,7 +86,7 @@ impl Interval {
 /// A control of the camera, such as exposure or gain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Control {
-    /// V4L2's control id.
+    /// V4L2's identifier of the control.
     pub id: u32,
     /// The kernel driver's name for the control.
     pub name: String,

@@ -18,7 +18,7 @@ const BUFFERS: u32 = 4;
 /// longer than that of any usable camera, so that a silence is not reported too early.
 const UNKNOWN_INTERVAL_NS: u64 = 100_000_000;
 
-/// A streaming camera.
+/// A camera that is open and streams.
 pub struct Stream {
     node: Box<dyn VideoNode>,
     layout: Layout,
@@ -278,7 +278,7 @@ fn negotiate_interval(
     config: &CameraDeviceConfig,
     device: &Arc<str>,
 ) -> Result<u64, V4l2Error> {
-    // In thousandths: 29.97 Hz is an interval of 1000/29970 s.
+    // Rates are compared in thousandths: 29.97 Hz is an interval of 1000/29970 s.
     let desired = config
         .fps
         .map(|fps| Interval { numerator: 1000, denominator: (fps * 1000.0).round() as u32 });

@@ -8,7 +8,7 @@ const ARPHRD_CAN: &str = "280";
 /// `IFF_UP` of linux/if.h.
 const IFF_UP: u32 = 1;
 
-/// Where the names of one kind of device are.
+/// The places of the names of one kind of device.
 pub struct Names {
     /// Directory of udev's names, which stay the same after a device was unplugged.
     pub stable: &'static str,

@@ -18,7 +18,7 @@ pub(super) fn file(document: &DeTable<'_>, text: &str) -> Vec<Problem> {
 
 struct Checker<'a> {
     text: &'a str,
-    /// With the byte at which each begins.
+    /// Each problem with the byte offset at which it begins.
     problems: Vec<(usize, Problem)>,
 }
 
@@ -75,7 +75,7 @@ fn is_allowed(value: &DeValue<'_>, kind: &Kind, range: Option<&Range>) -> bool {
     }
 }
 
-/// NaN if the value is not a number, or one that no integer type can hold.
+/// The value as a number; NaN if it is not a number, or an integer that no integer type can hold.
 fn number(value: &DeValue<'_>) -> f64 {
     match value {
         DeValue::Integer(integer) => i128::from_str_radix(integer.as_str(), integer.radix())

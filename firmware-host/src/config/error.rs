@@ -34,7 +34,7 @@ impl ConfigError {
     }
 }
 
-/// One thing that is wrong with a file. Lines count from 1; `key` is the full dotted name.
+/// One problem of a file. Lines count from 1; `key` is the full dotted name.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Problem {
     /// There is no key of this name.

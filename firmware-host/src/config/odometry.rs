@@ -1,4 +1,4 @@
-//! How wrong a simulated robot's pose is.
+//! The odometry of a simulated robot: with or without errors.
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};

@@ -7,7 +7,7 @@ use hal::settings::{Key, Kind, Section};
 
 use super::{Config, check};
 
-/// Remakes both files.
+/// The command that writes both files.
 const COMMAND: &str = "UPDATE_EXPECT=1 cargo test -p firmware-host config::reference";
 const COLUMNS: usize = 100;
 const PAPER: &str = "\"Paper\" is Embodied Depth Prediction (Liu et al.).";

@@ -35,7 +35,7 @@ impl CameraSection {
         CameraModel::pinhole(self.width, self.height, self.horizontal_fov_deg.to_radians())
     }
 
-    /// `t_base_camera`.
+    /// Pose of the camera in the base frame, `t_base_camera`.
     #[must_use]
     pub fn mount(&self) -> Pose3 {
         RobotDescription {

@@ -48,7 +48,7 @@ fn written_names(table: &toml::Table, prefix: &str) -> Vec<String> {
 #[test]
 fn the_declarations_name_exactly_the_keys_that_serde_reads_and_writes() {
     let mut config = Config::default();
-    // Absent by default.
+    // These keys are absent by default.
     config.devices.camera.exposure_us = Some(Setting::Auto);
     config.devices.camera.gain = Some(Setting::Auto);
     config.devices.camera.white_balance_k = Some(Setting::Auto);

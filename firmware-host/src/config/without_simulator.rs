@@ -4,7 +4,7 @@
 use hal::settings::{ConfigValue, Kind};
 use serde::{Deserialize, Serialize};
 
-/// Whatever the section holds.
+/// The section as it was read from the file, without interpretation.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct SimulatorSection(serde_json::Map<String, serde_json::Value>);

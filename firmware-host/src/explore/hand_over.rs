@@ -1,9 +1,9 @@
-//! Between two turns, the trainer gets what was recorded so far and the robot a better network.
+//! Hands the recording so far to a trainer and takes a better network from it, at the ticks of a schedule.
 //!
-//! All of it goes through one folder. Before a turn of the schedule the robot closes its recording's segment, writes
-//! `round_NNNN.json` and waits for `model_NNNN.onnx`; both appear whole, by renaming. A run that was killed is begun again
-//! with the same arguments: it takes the models that are there already without waiting and comes to the very same state, as
-//! the digests in `round_NNNN.json` show.
+//! Both sides use one folder. Before a tick of the schedule, the robot closes the current segment of its recording,
+//! writes `round_NNNN.json` and waits for `model_NNNN.onnx`. Both files are renamed into place, so they are complete
+//! when they appear. A run that was killed is started again with the same arguments. It takes the models that exist
+//! already without waiting and reaches the same state, as the digests in `round_NNNN.json` show.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,21 +19,22 @@ use crate::config::Config;
 use crate::report::atomic::{prepare_dir, write_atomically};
 use crate::setup;
 
-/// Between two looks for the next model. Training takes minutes.
+/// Interval between two checks for the next model. Training takes minutes.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// What the trainer is told: the first `segments` files of the recording, and as much of the dump, are whole.
+/// The message to the trainer: the first `segments` files of the recording, and the corresponding part of the dump, are
+/// complete.
 #[derive(Debug, Serialize)]
 pub(super) struct Round {
     pub round: u64,
-    /// Turns so far.
+    /// Number of ticks so far.
     pub frames: u64,
     pub segments: u32,
-    /// Of every decision so far.
+    /// Digest of every decision so far.
     pub digest: String,
 }
 
-/// The folder and the schedule.
+/// The folder and the schedule of a hand-over.
 pub(super) struct HandOver {
     dir: PathBuf,
     schedule: HandOverSchedule,
@@ -45,7 +46,7 @@ impl HandOver {
         Some(HandOverSchedule { first: args.first?, every: args.every? })
     }
 
-    /// `None` when no networks come.
+    /// Prepares the hand-over; `None` if the arguments name no folder or no schedule.
     pub fn new(args: &HandOverArgs, config: &Config) -> Result<Option<Self>> {
         let (Some(dir), Some(schedule)) = (&args.dir, Self::schedule(args)) else {
             return Ok(None);
@@ -54,12 +55,12 @@ impl HandOver {
         Ok(Some(Self { dir: dir.clone(), schedule, config: config.clone() }))
     }
 
-    /// The round that ends before this turn.
+    /// The number of the round that ends before this tick, if one does.
     pub fn round(&self, tick: u64) -> Option<u64> {
         self.schedule.round(tick)
     }
 
-    /// Tells the trainer, and waits for the model; `None`: interrupted.
+    /// Sends the message to the trainer and waits for its model; `None` if the run was interrupted.
     #[expect(
         clippy::disallowed_methods,
         reason = "another process trains, and the run's own time stands still"

@@ -1,4 +1,4 @@
-//! How right a map is, against the true home.
+//! The accuracy of a map, measured against the true home.
 
 use hal::Pose2;
 use runtime::mapping::{CellState, OccupancyGrid};
@@ -9,18 +9,18 @@ use crate::report::alignment;
 use crate::report::coverage::Coverage;
 use crate::report::summary::{MapError, Summary};
 
-/// A cell is right if it is what it says within this distance, metres.
+/// A cell of the map is right if the true home has the same state within this distance, metres.
 const RIGHT_M: f64 = 0.15;
-/// Occupied cells farther than this from anything real are off, metres.
+/// Occupied cells farther than this from any true obstacle are wrong, metres.
 const OFF_M: f64 = 0.1;
 /// Distances are searched up to this, metres. Farther ones count as this far.
 const REACH_M: f64 = 1.0;
 
 /// Number of cells that determine the fit. More do not change it by a millimetre.
 const FIT_CELLS: usize = 1000;
-/// Number of cells for the choice between the starts.
+/// Number of cells for the choice among the start poses.
 const COARSE_FIT_CELLS: usize = 150;
-/// Where fits begin, from the given start: x and y in metres, yaw in radians.
+/// Start poses of the fit, relative to the given one: x and y in metres, yaw in radians.
 const FIT_STARTS: [[f64; 3]; 7] = [
     [0.0, 0.0, 0.0],
     [0.5, 0.0, 0.0],
@@ -30,24 +30,23 @@ const FIT_STARTS: [[f64; 3]; 7] = [
     [0.0, 0.0, 0.15],
     [0.0, 0.0, -0.15],
 ];
-/// The fit takes the nearest share of the pairs: the others have no true partner.
+/// The fit uses this share of the pairs, the nearest ones: the others have no true partner.
 const FIT_SHARE: f64 = 0.8;
-/// Most rounds of the fit. It slides along walls slowly.
+/// Maximum number of rounds of the fit, which converges slowly along walls.
 const FIT_ROUNDS: usize = 100;
-/// The fit is done when a round moves the map by less, metres and radians.
+/// The fit ends when a round moves the map by less than this, metres and radians.
 const FIT_STEP: f64 = 1e-4;
 /// Largest distance of a pair in the fit, metres.
 const FIT_REACH_M: f64 = 0.7;
 
-/// How right a map is. What counts as an obstacle is any surface between 6 cm and 1.5 m above the
-/// floor.
+/// The accuracy of a map. Obstacles are all surfaces between 6 cm and 1.5 m above the floor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct MapAccuracy {
-    /// Share of the reachable floor that was mapped and whose place the map shows as it is, if only
-    /// the start pose is aligned: free, or occupied with a true obstacle within 0.15 m. Unlike
-    /// `coverage` it falls when the map shows the floor at a wrong place.
+    /// Share of the reachable floor that the map shows correctly when only the start pose is aligned: as free, or as
+    /// occupied with a true obstacle within 0.15 m. Unlike `coverage`, it falls when the map shows floor at a wrong
+    /// position.
     coverage_true: f64,
-    /// Of the occupied cells, the share more than 10 cm from any true obstacle, after the best
+    /// Share of the occupied cells that are more than 10 cm from any true obstacle, after the best
     /// rigid fit.
     off10: Option<f64>,
     /// Distances after the best rigid fit: of every occupied cell to the nearest true obstacle, and
@@ -121,8 +120,8 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// The pose `t_world_map` in which the occupied cells lie nearest to true obstacles. A fit ends in
-    /// the next minimum, so it is begun from several poses around `start`.
+    /// The pose `t_world_map` in which the occupied cells are nearest to true obstacles. A fit ends in a local minimum,
+    /// so it is started from several poses around `start`.
     fn fit(&self, start: &Pose2) -> Pose2 {
         let coarse = FIT_STARTS
             .iter()
@@ -350,7 +349,7 @@ mod tests {
 
     #[test]
     fn a_wrong_start_pose_costs_true_coverage_only() {
-        // The map is right in itself, but lies 0.6 m beside the home.
+        // The shape of the map is right, but it lies 0.6 m beside the home.
         let beside = Pose2::new(0.35, 0.5, 0.0);
         let (accuracy, coverage) = measure(&beside, |_, truth| *truth);
         assert!(accuracy.coverage_true < coverage - 0.03, "{accuracy:?} of {coverage}");

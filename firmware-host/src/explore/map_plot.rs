@@ -115,14 +115,14 @@ fn raster(grid: &Grid, cell_m: f64) -> (usize, impl Iterator<Item = [f64; 2]> + 
     (columns, centers)
 }
 
-/// The run in one line.
+/// The title of the plot: the run in one line.
 pub(super) fn title(summary: &Summary) -> String {
     let scene = summary.scene.as_deref().unwrap_or_default();
     let policy = summary.policy.as_deref().unwrap_or_default();
     format!("{scene}, {policy}, {} frames (simulated)", summary.frames)
 }
 
-/// What the map is worth, in one line.
+/// The accuracy of the map in one line.
 fn figures(summary: &Summary) -> String {
     let mut parts = Vec::new();
     if let (Some(share), Some(area_m2)) = (summary.coverage, summary.reachable_m2) {

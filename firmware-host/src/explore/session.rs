@@ -1,4 +1,4 @@
-//! A simulated run: the loop over simulated devices in virtual time, and what is kept of it.
+//! A simulated run: the session over simulated devices in virtual time, and its outputs.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -42,23 +42,23 @@ pub(super) struct Exploration {
     out: PathBuf,
     frames: u64,
     session: Session<SimulatedDevices>,
-    /// Where better networks come from.
+    /// The source of better networks, if there is one.
     pub hand_over: Option<HandOver>,
-    /// What is kept of the run.
+    /// The outputs of the run.
     pub log: RunLog,
     done: u64,
     interrupted: Arc<AtomicBool>,
 }
 
-/// What is kept of a simulated run: the recording, the evaluation against ground truth, latencies and plots.
+/// The outputs of a simulated run: recording, evaluation against ground truth, latencies and plots.
 pub(super) struct RunLog {
     recording: RecordingSection,
     recorder: Option<Recorder>,
-    /// Where coarse depth is written for training.
+    /// The dump of coarse depth for training, if there is one.
     pub dump: Option<Dump>,
     /// Signed models that arrive during the run.
     pub models: Option<LiveModels>,
-    /// How well the depth agrees with the LiDAR.
+    /// Agreement of the depth with the LiDAR.
     line: LidarAgreement,
     world: World,
     /// Ground-truth depth of the newest frame.
@@ -70,7 +70,7 @@ pub(super) struct RunLog {
     began: Instant,
     started: Instant,
     snapshot: Option<Vec<u8>>,
-    /// Images of the animation so far.
+    /// The images of the animation so far, if there is one.
     animation: Option<Shots>,
     #[cfg(feature = "rerun")]
     stream: Option<crate::rerun_stream::RerunStream>,
@@ -172,7 +172,8 @@ impl Exploration {
         Ok(end)
     }
 
-    /// Where the schedule says so, hands over what was recorded and takes the next network. `false`: interrupted.
+    /// At the ticks of the schedule, hands over the recording and takes the next network. `false` if the run was
+    /// interrupted.
     fn take_network(&mut self, tick: u64) -> Result<bool> {
         let Some(hand_over) = &self.hand_over else { return Ok(true) };
         let Some(round) = hand_over.round(tick) else { return Ok(true) };
@@ -234,7 +235,7 @@ impl Exploration {
             &log.world.floor_plan(),
             &mut summary,
         );
-        // Numbers before pictures: they still find room on a disk that is nearly full.
+        // The summary is written before the images, because it still fits on a disk that is nearly full.
         summary.write(&out)?;
         println!("{}", table::render(&summary));
         let title = map_plot::title(&summary);
@@ -294,7 +295,7 @@ impl Observer for RunLog {
         self.dump(robot, input)?;
         self.line.observe(input, robot.mapped_depth());
         if let Some(models) = &mut self.models {
-            // Virtual time waits: no tick is late.
+            // In virtual time no tick is late.
             models.after(robot, input, decision, false);
         }
         self.stopwatch.start();
@@ -332,7 +333,7 @@ impl RunLog {
         Ok(())
     }
 
-    /// Writes a frame's coarse depth, with the pose that the robot believes in.
+    /// Writes a frame's coarse depth, with the believed pose.
     fn dump(&mut self, robot: &Robot, input: &TickInput<'_>) -> Result<()> {
         let (Some(dump), Some(_)) = (&mut self.dump, &input.frame) else { return Ok(()) };
         let t_map_base = robot.poses().t_map_base_at_frame();
@@ -377,7 +378,7 @@ impl RunLog {
     }
 }
 
-/// Ctrl-C ends the run after the current turn, with a report.
+/// Makes Ctrl-C end the run after the current tick, with a report.
 fn stop_on_interrupt() -> Arc<AtomicBool> {
     let interrupted = Arc::new(AtomicBool::new(false));
     let flag = interrupted.clone();

@@ -24,7 +24,7 @@ pub(super) struct Shots {
 }
 
 impl Shots {
-    /// No image of a run of `frames` frames yet.
+    /// A collection without images, for a run of `frames` frames.
     pub fn of(frames: u64) -> Self {
         Self {
             every: frames.div_ceil(SHOTS),
@@ -34,7 +34,7 @@ impl Shots {
         }
     }
 
-    /// Takes an image of this moment if it is due.
+    /// Stores an image of the current frame if one is due.
     pub fn offer(
         &mut self,
         input: &TickInput<'_>,
@@ -53,7 +53,7 @@ impl Shots {
         self.shots.extend(row.map(|row| Shot { row, cells, coverage }));
     }
 
-    /// Writes the animation.
+    /// Writes the animation of the collected images.
     pub fn write(
         &self,
         title: &str,

@@ -50,7 +50,7 @@ pub struct Shot {
 #[derive(Debug, Clone, Copy)]
 pub struct Animation<'a> {
     pub title: &'a str,
-    /// In the order of time, with frames and maps of the same size.
+    /// The images in the order of time, with frames and maps of the same size.
     pub shots: &'a [Shot],
     /// Number of columns of the maps.
     pub map_width: usize,

@@ -47,7 +47,7 @@ enum Column {
 pub struct DepthSheet<'a> {
     /// Title line that names the run.
     pub title: &'a str,
-    /// From top to bottom. All rows must have the same size.
+    /// The rows from top to bottom. All of them must have the same size.
     pub rows: &'a [SheetRow],
 }
 

@@ -8,8 +8,8 @@ use super::alignment;
 /// Length of the path between the two poses of a relative error, metres.
 const RELATIVE_M: f64 = 1.0;
 
-/// Errors of the believed poses of a run. The absolute ones speak of the pose in the map, the
-/// relative ones of the smooth pose in `odom`, in which perception works.
+/// Errors of the believed poses of a run. The absolute errors are those of the pose in the map, the
+/// relative ones those of the smooth pose in `odom`, in which perception works.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct PoseError {
     /// Absolute trajectory error: root mean square of the distances between the believed positions
@@ -20,7 +20,7 @@ pub struct PoseError {
     /// 1 m of true path apart, metres per metre of it. Absent on a path that is shorter than that.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub rpe_m_per_m: Option<f64>,
-    /// The same of the heading, degrees per metre.
+    /// Relative error of the heading over the same pairs, degrees per metre.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub rpe_deg_per_m: Option<f64>,
     /// Size of the error of the last heading in the map if the first one was right, degrees, 0 to
@@ -31,7 +31,7 @@ pub struct PoseError {
 /// True and believed poses at one moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PosePair {
-    /// `t_world_base`.
+    /// True pose, `t_world_base`.
     pub truth: Pose2,
     /// Believed pose in the smooth frame, `t_odom_base`.
     pub t_odom_base: Pose2,
@@ -95,7 +95,7 @@ fn relative_errors(pairs: &[PosePair]) -> Vec<RelativeError> {
             to += 1;
         }
         let Some(later) = pairs.get(to) else { break };
-        // A robot that stands would repeat the same pair.
+        // The pair of a robot that stands would be counted repeatedly.
         if from > 0 && path_m[from] <= path_m[from - 1] {
             continue;
         }
@@ -118,7 +118,7 @@ fn error(believed: &Pose2, truth: &Pose2) -> Pose2 {
     Pose2 { yaw_rad: wrap_angle(error.yaw_rad), ..error }
 }
 
-/// Root mean square; `None` of nothing.
+/// Root mean square; `None` without any error.
 fn rms(errors: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = errors.fold((0.0, 0_u64), |(sum, count), e| (sum + e * e, count + 1));
     (count > 0).then(|| (sum / count as f64).sqrt())
@@ -128,7 +128,8 @@ fn rms(errors: impl Iterator<Item = f64>) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// A drive around a square with sides of 3 m, in steps of 2 cm, and what is believed of it.
+    /// A drive around a square with sides of 3 m, in steps of 2 cm. `believe` gives the believed
+    /// pose after a distance for the true one.
     fn drive(believe: impl Fn(f64, &Pose2) -> Pose2) -> Vec<PosePair> {
         (0..600)
             .map(|step| {

@@ -92,7 +92,7 @@ pub struct Summary {
     /// ([`StuckMeter`](super::stuck::StuckMeter)).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stuck_frames: Option<u64>,
-    /// Largest number of them in a row.
+    /// Largest number of such frames in a row.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stuck_longest_frames: Option<u64>,
     /// Ticks of a real robot's exploration plane that were skipped because the one before took
@@ -145,7 +145,7 @@ pub struct MapError {
 }
 
 impl MapError {
-    /// Percentiles of distances, by the nearest rank; `None` of nothing.
+    /// Percentiles of distances, by the nearest rank; `None` without any distance.
     #[must_use]
     pub fn of(mut distances: Vec<f64>) -> Option<Self> {
         distances.sort_by(f64::total_cmp);
@@ -192,7 +192,7 @@ impl fmt::Display for CameraLatency {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LidarLine {
     pub all: AgreementStats,
-    /// The same in ranges of distance.
+    /// The agreement in ranges of distance.
     pub by_distance: Vec<AgreementStats>,
 }
 

@@ -68,7 +68,7 @@ impl TopView {
         self.grid.begin_update(&pose)?;
         let seen = self.grid.integrate_depth(depth, camera, &t_level_camera).map(|_| ());
         self.grid.finish_update();
-        // A camera that looks straight up or down sees no walls.
+        // A camera that points straight up or down sees no walls.
         if seen == Err(MapError::CameraVertical) { Ok(()) } else { seen }
     }
 
@@ -118,7 +118,7 @@ fn upward(poses: &[Pose3]) -> Vector3<f64> {
 /// The transform from the world into the frame of the map, `t_level_world`.
 fn levelled(poses: &[Pose3], up: Vector3<f64>) -> Pose3 {
     let up = up.try_normalize(1e-9).unwrap_or_else(Vector3::z);
-    // If the first frame looks straight down, its upper edge points ahead.
+    // If the first frame points straight down, its upper edge points ahead.
     let ahead = poses.first().and_then(|first| {
         horizontal(first * Vector3::z(), up).or_else(|| horizontal(first * -Vector3::y(), up))
     });
@@ -235,8 +235,8 @@ mod tests {
 
     #[test]
     fn up_is_found_however_the_camera_is_held() {
-        // If the camera rotates, its pitch does not matter. If it looks one way, it has to be held
-        // upright.
+        // If the camera rotates, its pitch does not matter. If it always points in one direction,
+        // it has to be held upright.
         for (rotation_rad, pitch_rad, tolerance_rad) in
             [(6.0, 0.5, 0.03), (1.0, 0.3, 0.1), (0.0, 0.0, 0.03)]
         {

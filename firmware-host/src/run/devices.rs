@@ -1,4 +1,4 @@
-//! Opens what the configuration says is connected. Devices need not be there yet: each driver waits for its own.
+//! Opens the devices of the configuration. They need not be connected yet: each driver waits for its device.
 
 use anyhow::{Context, Result};
 use drivers::DeviceStatus;
@@ -11,16 +11,16 @@ use runtime::safety::SafetyLoop;
 use super::safety_thread::{Watched, WatchedBase};
 use crate::config::Config;
 
-/// The base on whatever bus it is connected to.
+/// The base on a bus of any kind.
 pub type AnyBase = DifferentialBase<Box<dyn CanBus + Send>>;
 
-/// What the safety plane owns.
+/// The safety loop with the devices that it owns.
 pub type Control = SafetyLoop<FaultyBase<AnyBase>, FaultyLidar<HokuyoLidar>>;
 
 /// Starts the camera's driver.
 ///
 /// # Errors
-/// What it refuses in the configuration.
+/// The driver refuses the configuration.
 pub fn open_camera(config: &Config, faults: &Faults) -> Result<FaultyCamera<V4l2Camera>> {
     let devices = &config.devices;
     let model = devices.camera_model().map_err(anyhow::Error::msg).context("[devices.lens]")?;
@@ -28,10 +28,10 @@ pub fn open_camera(config: &Config, faults: &Faults) -> Result<FaultyCamera<V4l2
     Ok(FaultyCamera::new(camera, faults))
 }
 
-/// Starts the scanner's and the base's drivers; also what the scanner's thread knows, for other threads.
+/// Starts the drivers of the scanner and the base. Also returns a handle to the scanner's state, for other threads.
 ///
 /// # Errors
-/// What a driver refuses in the configuration.
+/// A driver refuses the configuration.
 pub fn open_scanner_and_base(config: &Config, faults: &Faults) -> Result<(Control, HokuyoMonitor)> {
     let devices = &config.devices;
     let lidar = HokuyoLidar::open(devices.lidar.clone()).context("[devices.lidar]")?;
@@ -69,7 +69,7 @@ mod tests {
     fn the_safety_loop_of_a_real_robot_is_made_for_its_brakes_and_not_for_simulated_ones() {
         let mut config = Config::default();
         config.run.brake_mps2 = 0.7;
-        // Devices that are not there are waited for.
+        // The drivers wait for absent devices, so opening them succeeds.
         config.devices.lidar.port = "/nonexistent/lidar".parse().unwrap();
         config.devices.base.bus = "unix:/nonexistent/can".to_owned();
         config.devices.base.protocol = drivers::can::Protocol::Vesc;

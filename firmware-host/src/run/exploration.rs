@@ -26,25 +26,25 @@ use crate::report::summary::LidarLine;
 use crate::setup;
 use crate::stopwatch::Stopwatch;
 
-/// Poses for the map's plot: three hours of driving.
+/// Number of poses that are kept for the plot of the map: three hours of driving.
 const MOST_REMEMBERED: usize = 100_000;
 /// Stops are logged at most this often.
 const LOG_EVERY_NS: u64 = 1_000_000_000;
-/// The LiDAR's agreement with the depth is logged at this interval, which is also how long the monitor remembers.
+/// The LiDAR's agreement with the depth is logged at this interval, which is also the memory of the monitor.
 const LOG_LINE_EVERY_NS: u64 = 60_000_000_000;
 /// Odometry that moves by more than this between two ticks was restarted, metres.
 const ODOMETRY_JUMP_M: f64 = 0.5;
 
 /// The exploration loop on a real robot.
 pub struct Exploration {
-    /// The loop.
+    /// The session, which runs the loop.
     pub session: Session<LiveDevices>,
-    /// What is kept of it.
+    /// The outputs of the run.
     pub log: RunLog,
 }
 
 impl Exploration {
-    /// A robot that has seen nothing yet.
+    /// An exploration loop before its first tick.
     pub fn new(
         config: &Config,
         devices: LiveDevices,
@@ -57,15 +57,15 @@ impl Exploration {
         Self { session, log: RunLog::new(config, recorder, models) }
     }
 
-    /// One tick.
+    /// Runs one tick.
     ///
     /// # Errors
-    /// A frame that cannot be recorded: a defect.
+    /// A frame that cannot be recorded, which is a defect.
     pub fn tick(&mut self) -> Result<()> {
         self.session.tick(&mut self.log).map(drop)
     }
 
-    /// For `health`.
+    /// The current status, for `health`.
     #[must_use]
     pub fn status(&self) -> ExplorationStatus {
         let robot = self.session.robot();
@@ -98,7 +98,7 @@ impl Exploration {
         self.session.devices().camera()
     }
 
-    /// Ends the loop.
+    /// Ends the loop, and returns the robot and the outputs.
     #[must_use]
     pub fn finish(self) -> (Robot, RunLog) {
         let (_, robot) = self.session.into_parts();
@@ -106,23 +106,23 @@ impl Exploration {
     }
 }
 
-/// What is kept of a run: the recording, counts, and what the report shows.
+/// The outputs of a run: the recording, counts, and the data of the report.
 pub struct RunLog {
-    /// The recording, to be finished.
+    /// The recording, which the caller finishes.
     pub recorder: Option<Recorder>,
     /// Signed models that arrive while the robot drives.
     models: Option<LiveModels>,
-    /// How well the depth agrees with the LiDAR.
+    /// Agreement of the depth with the LiDAR.
     pub line: LidarAgreement,
     /// Time of each stage.
     pub stopwatch: Stopwatch,
-    /// Events by kind.
+    /// Number of events of each kind.
     pub counts: EventCounts,
-    /// Ticks with a frame.
+    /// Number of ticks with a frame.
     pub frames: u64,
     /// Distance by wheel odometry, metres.
     pub path_m: f64,
-    /// Poses in `map`.
+    /// Poses of the robot in `map`, one for each tick in which it moved.
     pub trajectory: Vec<Pose2>,
     /// Places in `map` where the safety plane stopped for an obstacle, metres.
     pub trips_m: Vec<[f64; 2]>,
@@ -132,9 +132,9 @@ pub struct RunLog {
     snapshot: Option<Vec<u8>>,
     last_wheel: Option<WheelFeedback>,
     no_depth: Option<NoDepth>,
-    /// Repeated stops are in the recording; the log does not repeat them before this time.
+    /// Time before which the log does not repeat a stop; the recording contains every stop.
     quiet_until_ns: u64,
-    /// When the LiDAR's agreement was logged last.
+    /// Time at which the LiDAR's agreement was last logged.
     line_logged_ns: Option<u64>,
 }
 

@@ -1,4 +1,4 @@
-//! One program per base: two that command the same wheels would each take them for its own.
+//! Allows one program per base: two programs must not command the same wheels.
 
 use std::io;
 use std::os::linux::net::SocketAddrExt;
@@ -6,21 +6,22 @@ use std::os::unix::net::{SocketAddr, UnixListener};
 
 use anyhow::{Context, Result, bail};
 
-/// As long as it lives, no other program on this computer takes the same base.
+/// While this lock exists, no other program on this computer can use the same base.
 #[derive(Debug)]
 pub struct InstanceLock {
-    /// A name in the kernel's abstract namespace, and nobody connects to it: it needs no file and no right, belongs to the network
-    /// namespace like CAN interfaces do, and is gone when the program is, however it ended (unix(7)).
+    /// The lock is a name in the kernel's abstract socket namespace, to which no client connects. It needs no file and
+    /// no permission, belongs to the network namespace as CAN interfaces do, and disappears when the program ends for
+    /// any reason (unix(7)).
     _name: UnixListener,
 }
 
 impl InstanceLock {
-    /// Takes the base on this bus.
+    /// Takes the lock of the base on this bus.
     ///
     /// # Errors
-    /// When another program has it.
+    /// Another program holds the lock.
     pub fn on(bus: &str) -> Result<Self> {
-        // The kernel allows 107 bytes: a long path is told apart by its digest.
+        // The kernel allows 107 bytes. The digest is short and differs for every bus.
         let name = format!("embodied-depth/base/{}", blake3::hash(bus.as_bytes()).to_hex());
         let address = SocketAddr::from_abstract_name(name).context("cannot name the base")?;
         match UnixListener::bind_addr(&address) {

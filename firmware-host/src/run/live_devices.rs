@@ -11,7 +11,7 @@ use runtime::session::Devices;
 
 use crate::config::Config;
 
-/// Clock and camera; frames are brought to the size that perception works on.
+/// Clock and camera. Frames are converted to the size that perception works on.
 pub struct LiveDevices {
     clock: FaultyClock<MonotonicClock>,
     camera: FaultyCamera<V4l2Camera>,
@@ -22,7 +22,7 @@ pub struct LiveDevices {
 }
 
 impl LiveDevices {
-    /// Nothing fetched yet.
+    /// Devices that have not fetched a frame yet.
     ///
     /// # Errors
     /// When the camera's frames cannot be converted to those that perception works on.

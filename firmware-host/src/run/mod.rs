@@ -1,6 +1,7 @@
 //! `firmware-host run`: the real robot.
 //!
-//! Four threads matter. The safety loop ([`safety_thread`]) owns scanner and base and runs at 100 Hz; the exploration loop
+//! The program has four main threads. The safety loop ([`safety_thread`]) owns scanner and base and runs at 100 Hz; the
+//! exploration loop
 //! ([`runtime::session`]) runs at 10 Hz in the main thread; the operator's thread ([`operator`]) passes signals on to the safety
 //! loop; the recorder writes when the disk allows. Drivers have threads of their own. No loop waits for a device.
 
@@ -47,19 +48,20 @@ use operator::Operator;
 use safety_thread::{Pace, SafetyThread};
 use supervision::Supervision;
 
-/// Faults by dice of a run without an end are spread over this time, seconds.
+/// The injected random faults of a run without an end are spread over this time, seconds.
 const RANDOM_FAULTS_S: f64 = 600.0;
 
-/// Drives until it is told to stop, then brakes, lets the motors go and reports.
+/// Drives until a signal ends the run, then brakes, releases the motors and reports.
 ///
 /// # Errors
-/// A configuration, model or folder that cannot be used. Devices that are not there are waited for.
+/// A configuration, model or folder that cannot be used. An absent device is no error: its driver waits for it.
 pub fn run(args: &RunArgs) -> Result<()> {
     let mut config = Config::load(&args.config)?;
-    // Wheels with inertia lose most of their time by stopping for every small turn. The recording says so too.
+    // Wheels with inertia lose most of their time by stopping for every small rotation. The recorded configuration
+    // contains this setting.
     config.planning.arcs = true;
     config.check_devices(&args.config)?;
-    // Before anything is opened or written, so that a running instance is not disturbed.
+    // The lock is taken before anything is opened or written, so that a running instance is not disturbed.
     let _lock = InstanceLock::on(&config.devices.base.bus)?;
     let camera = config.camera.model();
     let configured = Some(&config.models.store).filter(|dir| !dir.is_empty());
@@ -153,7 +155,8 @@ fn explore(
     }
 }
 
-/// Universal time, in the form in which the service names its folders; beside the runs by which models are judged.
+/// A folder beside the runs by which models are judged. Its name is the universal time, in the format of the service's
+/// folders.
 fn named_by_time(config: &Config) -> PathBuf {
     Path::new(&config.models.recordings)
         .join(jiff::Timestamp::now().strftime("%Y-%m-%dT%H-%M-%S").to_string())
@@ -170,7 +173,7 @@ fn recorder(out: &Path, config: &Config, header: RunHeader, faults: &Faults) -> 
     Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)
 }
 
-/// The runs beside this one are the robot's buffer.
+/// The limits of the folder that holds this run and the earlier ones, which is the robot's buffer.
 fn quota(out: &Path, config: &Config) -> Result<Quota> {
     let out = std::path::absolute(out).context("the working directory is gone")?;
     let buffer = out.parent().unwrap_or(&out).to_owned();
@@ -212,7 +215,7 @@ fn report(
                 eprintln!("warning: the end of the run was not recorded: {failure}");
             }
         }
-        // The robot drove on; its summary says what it can.
+        // Without a complete recording, the summary has neither its size nor its digests.
         Some(Err(error)) => eprintln!("warning: {error}"),
         None => {}
     }
@@ -223,7 +226,7 @@ fn report(
     Ok(())
 }
 
-/// The map in `odom`: nobody knows where that lies in the world.
+/// Draws the map in `odom`. The position of `odom` in the world is unknown.
 fn draw_map(out: &Path, robot: &Robot, trajectory: &[Pose2], trips: &[[f64; 2]]) -> Result<()> {
     use crate::report::map_picture::{CellState, Cells, MapPlot};
     let Some(view) = crate::report::map_view::map_view(robot.map()) else { return Ok(()) };

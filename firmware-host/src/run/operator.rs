@@ -16,14 +16,14 @@ use super::last_stop::{LastStop, StopFile};
 use super::safety_thread::{ControlPanel, Motion};
 use crate::failure::sentence;
 
-/// Interval of the thread: a signal waits at most this long, and so does the memory of a stop.
+/// Period of the thread: the longest delay of a signal, and of writing a stop to the file.
 const EVERY_NS: u64 = 10_000_000;
 
-/// The thread, as the rest of the program sees it.
+/// The operator's thread, as the rest of the program sees it.
 pub struct Operator {
-    /// A signal has asked for the end of the program.
+    /// A signal has requested the end of the program.
     pub ends: Arc<AtomicBool>,
-    /// A stop that needs a person is remembered, also if the robot is merely disarmed now.
+    /// A stop that needs a person is in the file, even if the robot is merely disarmed now.
     pub held: Arc<AtomicBool>,
     /// The stop of an earlier run after which the robot does not arm on its own.
     pub last_stop: Option<LastStop>,
@@ -80,7 +80,8 @@ struct Watch {
 
 impl Watch {
     fn update(&mut self) {
-        // The order matters: of several signals at once, the one that stops has the last word.
+        // The order matters: of several signals at once, the one that stops the robot takes effect
+        // last.
         if self.signals.arms.swap(false, Ordering::Relaxed) {
             self.panel.arm();
         }
@@ -102,7 +103,7 @@ impl Watch {
         };
         if let Err(error) = outcome {
             tracing::error!("{}", sentence(&error));
-            // Not again a hundred times a second.
+            // The attempt and its log message are not repeated in every period.
             self.written = !self.written;
         }
         self.held.store(self.written, Ordering::Release);
@@ -115,7 +116,7 @@ impl Watch {
     }
 }
 
-/// What operators send.
+/// The signals that operators send.
 struct Signals {
     ends: Arc<AtomicBool>,
     arms: Arc<AtomicBool>,

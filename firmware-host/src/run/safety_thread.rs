@@ -21,17 +21,17 @@ use triple_buffer::{Input, Output, triple_buffer};
 
 /// A device whose state can be read without a lock and without an allocation.
 pub trait Watched {
-    /// State and counts.
+    /// State and counts of the device.
     fn status(&self) -> DeviceStatus;
 }
 
 /// A base that reports why it does not move.
 pub trait WatchedBase: Watched {
-    /// Where the base is between powerless and moving.
+    /// The state of the base between powerless and moving.
     fn phase(&self) -> drivers::can::Phase;
 }
 
-/// A computer that slept for longer than this was suspended.
+/// The computer counts as suspended when it slept for longer than this.
 const SUSPENDED_NS: u64 = 500_000_000;
 /// Steps between clearing a fault and arming: the state machine leaves the fault in the first one.
 const STEPS_BEFORE_ARMING: u32 = 3;
@@ -56,16 +56,16 @@ struct PanelState {
 /// Whether the robot may move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Motion {
-    /// Nobody has armed it, or it was disarmed.
+    /// The robot has not been armed yet, or it was disarmed.
     Disarmed,
-    /// It drives, or stands for a reason that passes.
+    /// The robot drives, or stands for a reason that passes.
     Armed,
-    /// It stands until a person has looked at it.
+    /// The robot stands until a person has inspected it.
     NeedsPerson(FaultReason),
 }
 
 impl ControlPanel {
-    /// Clears a fault and arms the robot: a person has looked at it.
+    /// Clears a fault and arms the robot, after a person has inspected it.
     pub fn arm(&self) {
         self.shared.arms.store(true, Ordering::Release);
     }
@@ -75,7 +75,7 @@ impl ControlPanel {
         self.shared.disarms.store(true, Ordering::Release);
     }
 
-    /// An emergency stop.
+    /// Triggers an emergency stop.
     pub fn stop(&self) {
         self.shared.stops.store(true, Ordering::Release);
     }
@@ -114,29 +114,29 @@ pub struct LoopStatus {
     pub since_ns: u64,
     /// Why the last request to arm was void, until a later one is followed.
     pub lapsed: Option<FaultReason>,
-    /// Obstacles that it has stopped for.
+    /// Number of obstacles for which the robot has stopped.
     pub trips: u64,
     pub lidar: DeviceStatus,
     pub lidar_error: Option<ErrorKind>,
     pub base: DeviceStatus,
     pub phase: drivers::can::Phase,
-    /// Steps so far.
+    /// Number of steps so far.
     pub steps: u64,
-    /// Steps that were skipped because one before took too long.
+    /// Number of steps that were skipped because an earlier one took too long.
     pub skipped: u64,
-    /// Largest delay of a step's start.
+    /// Largest delay of the start of a step.
     pub worst_late_ns: u64,
 }
 
-/// The thread, as the rest of the program sees it.
+/// The safety thread, as the rest of the program sees it.
 pub struct SafetyThread {
-    /// The newest status.
+    /// The newest status of the loop.
     pub status: Output<LoopStatus>,
-    /// Steps so far; systemd's watchdog is fed while it grows.
+    /// Number of steps so far; systemd's watchdog is fed while it increases.
     pub steps: Arc<AtomicU64>,
     /// Whether the thread runs with real-time priority.
     pub realtime: bool,
-    /// The operator's orders.
+    /// The operator's orders to the loop.
     pub panel: ControlPanel,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<LatencyHistogram>>,
@@ -153,11 +153,11 @@ pub struct Pace {
 
 impl SafetyThread {
     /// Starts the thread, opens the devices in it, and starts the loop. Threads that drivers start then inherit its priority.
-    /// Returns the exploration loop's port, and whatever else `open` made. Nothing moves before
+    /// Returns the exploration loop's port, and the other results of `open`. Nothing moves before
     /// [`ControlPanel::arm`].
     ///
     /// # Errors
-    /// The errors of `open`; when the system has no thread left.
+    /// The errors of `open`, and an error if the system cannot create a thread.
     pub fn start<B, L, T>(
         pace: Pace,
         open: impl FnOnce() -> Result<(SafetyLoop<B, L>, T)> + Send + 'static,
@@ -190,7 +190,7 @@ impl SafetyThread {
         Ok((safety, port, rest))
     }
 
-    /// Brakes, disarms the base, and ends the thread. The first call returns how late the steps began.
+    /// Brakes, disarms the base, and ends the thread. The first call returns the delays of the steps.
     pub fn shut_down(&mut self) -> Option<LatencyHistogram> {
         self.stop.store(true, Ordering::Release);
         let joined = self.thread.take()?.join();
@@ -238,7 +238,7 @@ impl Drop for SafetyThread {
     }
 }
 
-/// What the thread owns.
+/// The data that the thread owns.
 struct Looping<B, L> {
     task: SafetyTask<B, L>,
     status: Input<LoopStatus>,
@@ -373,7 +373,7 @@ where
     }
 }
 
-/// Asks for SCHED_FIFO and for memory that stays resident. Returns whether both were allowed.
+/// Requests SCHED_FIFO and memory that stays resident. Returns whether both were allowed.
 fn become_realtime(priority: u8) -> bool {
     if priority == 0 {
         return false;

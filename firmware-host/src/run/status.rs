@@ -1,4 +1,4 @@
-//! What `health` shows: one small file, written anew twice a second by the running program.
+//! The data that `health` shows: one small file, which the running program rewrites twice a second.
 
 use std::path::Path;
 
@@ -13,132 +13,133 @@ use crate::report::atomic::write_atomically;
 /// A file that is older than this was left by a program that no longer runs, seconds.
 pub const STALE_S: f64 = 3.0;
 
-/// How a running robot is.
+/// The state of a running robot.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Status {
-    /// When this was written, seconds since 1970.
+    /// Time at which the file was written, seconds since 1970.
     pub written_unix_s: f64,
-    /// Of the program.
+    /// Process id of the program.
     pub pid: u32,
-    /// Since its start, seconds.
+    /// Time since the start of the program, seconds.
     pub uptime_s: f64,
-    /// The safety plane.
+    /// State of the safety plane.
     pub safety: SafetyStatus,
-    /// The camera.
+    /// State of the camera.
     pub camera: DeviceHealth,
-    /// The scanner.
+    /// State of the scanner.
     pub lidar: DeviceHealth,
-    /// The base.
+    /// State of the base.
     pub base: DeviceHealth,
-    /// The exploration plane.
+    /// State of the exploration plane.
     pub exploration: ExplorationStatus,
-    /// The recording.
+    /// State of the recording.
     pub recording: RecordingStatus,
 }
 
-/// The safety plane.
+/// The state of the safety plane.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SafetyStatus {
-    /// State, and in a fault its reason.
+    /// The name of the state; for a fault, its reason as well.
     pub state: String,
-    /// For how long, seconds.
+    /// Time since the last change of the state, seconds.
     pub for_s: f64,
     /// Whether the robot stands until a person arms it.
     pub needs_person: bool,
-    /// Why it stopped last, and how long ago.
+    /// Reason and time of the last stop.
     pub last_stop: Option<LastStop>,
-    /// Obstacles that it stopped for.
+    /// Number of obstacles for which the robot has stopped.
     pub stops: u64,
-    /// Turns of the loop.
+    /// Number of steps of the safety loop.
     pub turns: u64,
-    /// Turns that were left out because one came late.
+    /// Number of steps that were skipped because an earlier one was late.
     pub skipped: u64,
-    /// The worst lateness, microseconds.
+    /// Largest delay of a step, microseconds.
     pub worst_late_us: f64,
     /// Whether the thread has real-time priority.
     pub realtime: bool,
 }
 
-/// A device.
+/// The state of a device.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct DeviceHealth {
-    /// What it is and where.
+    /// Kind and address of the device.
     pub name: String,
     /// `starting`, `working`, `silent`, `disconnected` or `faulty`.
     pub state: String,
-    /// Good readings a second, lately.
+    /// Good readings per second since the last status.
     pub rate_hz: f64,
     /// Age of the last good reading, seconds; absent before the first.
     pub age_s: Option<f64>,
-    /// Readings that were taken.
+    /// Readings that passed every check.
     pub good: u64,
     /// Readings that failed a check.
     pub bad: u64,
-    /// Readings that never came.
+    /// Readings that never arrived.
     pub lost: u64,
-    /// Times that it was opened again.
+    /// How often the device was opened again.
     pub reopened: u64,
-    /// What is wrong, and the way out.
+    /// The problem and its remedy.
     pub problem: Option<String>,
 }
 
-/// The exploration plane.
+/// The state of the exploration plane.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ExplorationStatus {
-    /// Turns of its loop.
+    /// Number of ticks.
     pub ticks: u64,
-    /// Turns that came too late and were left out.
+    /// Number of ticks that were skipped because an earlier one took too long.
     pub skipped: u64,
-    /// How goals are chosen.
+    /// Name of the exploration policy.
     pub policy: String,
-    /// What it is after.
+    /// The kind of the current goal.
     pub goal: Option<String>,
-    /// Why the last picture gave no depth, if it gave none.
+    /// Why the last frame has no depth; absent if it has depth.
     pub no_depth: Option<String>,
-    /// Time of a turn, milliseconds: half of them take less.
+    /// Median duration of a tick, milliseconds.
     pub turn_p50_ms: f64,
-    /// Of a hundred, one takes longer.
+    /// 99th percentile of the duration of a tick, milliseconds.
     pub turn_p99_ms: f64,
     /// Mapped floor, square metres.
     pub mapped_m2: f64,
-    /// How right the depth is on the LiDAR's line, over about a minute; absent before anything was compared.
+    /// Accuracy of the depth where the LiDAR measures the same points, over about a minute; absent before the first
+    /// comparison.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub line: Option<AgreementStats>,
-    /// The same, distance by distance.
+    /// The same accuracy in ranges of distance.
     pub line_by_distance: Vec<AgreementStats>,
-    /// Digest of the model that drives; absent with coarse depth.
+    /// Digest of the model in use; absent with coarse depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
-    /// Digest of the model that is on trial, if one is.
+    /// Digest of the model on trial, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub on_trial: Option<String>,
 }
 
-/// The recording.
+/// The state of the recording.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RecordingStatus {
-    /// Where it is.
+    /// Folder of the recording.
     pub folder: Option<String>,
-    /// Turns that are not in it.
+    /// Number of ticks that are not in the recording.
     pub dropped: u64,
-    /// Why nothing is recorded now, if so.
+    /// Why nothing is recorded at present; absent while recording works.
     pub failure: Option<String>,
-    /// Older segments that had to make room.
+    /// Number of older segments that were removed because of the quota.
     pub removed: u64,
-    /// Of these, how many nobody had pulled.
+    /// Number of removed segments that no workstation had pulled.
     pub removed_unpulled: u64,
 }
 
 impl Status {
-    /// Writes the file, whole or not at all.
+    /// Writes the file atomically.
     ///
     /// # Errors
-    /// When the folder cannot be written.
+    /// The folder cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let json = serde_json::to_vec_pretty(self)?;
         write_atomically(path, &json)
@@ -148,7 +149,7 @@ impl Status {
     /// Reads the file.
     ///
     /// # Errors
-    /// When it is not there or not a status.
+    /// The file does not exist or is not a status.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| {
             format!(
@@ -162,7 +163,7 @@ impl Status {
         })
     }
 
-    /// Everything that an operator should know of now; empty: all is well.
+    /// All current problems that an operator should know; empty if the robot is healthy.
     #[must_use]
     pub fn worries(&self, now_unix_s: f64) -> Vec<String> {
         let age_s = now_unix_s - self.written_unix_s;
@@ -208,7 +209,7 @@ impl Status {
     }
 }
 
-/// Turns counts into rates.
+/// Converts counts to rates.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RateMeter {
     last: Option<(u64, u64)>,
@@ -216,7 +217,7 @@ pub struct RateMeter {
 }
 
 impl RateMeter {
-    /// Good readings a second since the last call.
+    /// Good readings per second since the last call.
     fn rate_hz(&mut self, good: u64, now_ns: u64) -> f64 {
         if let Some((then_ns, then)) = self.last.replace((now_ns, good))
             && now_ns > then_ns
@@ -226,7 +227,7 @@ impl RateMeter {
         self.rate_hz
     }
 
-    /// A device's health from its driver's counts.
+    /// The health of a device from its driver's counts.
     pub fn health(
         &mut self,
         name: &str,
@@ -249,7 +250,7 @@ impl RateMeter {
     }
 }
 
-/// Seconds since 1970.
+/// The current time, seconds since 1970.
 #[must_use]
 pub fn unix_s() -> f64 {
     std::time::SystemTime::now()

@@ -1,4 +1,4 @@
-//! Tells systemd and `health` how the robot is.
+//! Reports the state of the robot to systemd and `health`.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,10 +22,10 @@ use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::failure::sentence;
 
-/// Twice a second.
+/// Period of the reports.
 const EVERY_NS: u64 = 500_000_000;
 
-/// Tells systemd and `health` how the robot is.
+/// Reports the state of the robot to systemd and `health`.
 pub struct Supervision {
     file: PathBuf,
     folder: Option<String>,
@@ -36,7 +36,7 @@ pub struct Supervision {
     began_ns: u64,
     due_ns: u64,
     heartbeat: Heartbeat,
-    /// A stop that needs a person is remembered.
+    /// A stop that needs a person is in the file.
     held: Arc<AtomicBool>,
     last_stop: Option<LastStop>,
     /// Why the last request to arm was void, as far as it was reported.
@@ -55,7 +55,7 @@ impl Supervision {
     ) -> Self {
         let file = args.status.clone().unwrap_or_else(|| PathBuf::from(&config.run.status_file));
         if let Some(folder) = file.parent() {
-            // Where it cannot be made, writing says so.
+            // If the folder cannot be created, writing the status reports the error.
             let _ = std::fs::create_dir_all(folder);
         }
         let devices = &config.devices;
@@ -80,7 +80,7 @@ impl Supervision {
         }
     }
 
-    /// The threads run.
+    /// Reports to systemd that the robot is ready, and prints how to control it.
     pub fn announce(&self, safety: &SafetyThread) {
         let _ = sd_notify::notify(&[NotifyState::Ready]);
         let realtime = if safety.realtime { "with" } else { "without" };
@@ -91,13 +91,14 @@ impl Supervision {
         );
     }
 
-    /// The end has begun.
+    /// Reports to systemd that the program is ending, and removes the status file.
     pub fn good_bye(&self) {
         let _ = sd_notify::notify(&[NotifyState::Stopping]);
         let _ = std::fs::remove_file(&self.file);
     }
 
-    /// To be called after every tick.
+    /// Feeds systemd's watchdog and writes the status when they are due. The caller calls this
+    /// after every tick.
     pub fn update(&mut self, safety: &mut SafetyThread, exploration: &Exploration) {
         let safety_status = *safety.status.read();
         if let SafetyState::Fault(_) | SafetyState::Tripped { .. } = safety_status.state {
@@ -116,7 +117,7 @@ impl Supervision {
             return;
         }
         self.due_ns = now_ns + EVERY_NS;
-        // systemd's watchdog is fed only while both loops run; this one just did.
+        // systemd's watchdog is fed only while both loops run. The exploration loop has just run.
         if self.heartbeat.beats(safety.steps.load(Ordering::Acquire)) {
             let _ = sd_notify::notify(&[NotifyState::Watchdog]);
         }

@@ -21,7 +21,7 @@ impl Blacklist {
         self.entries.push(Entry { place_m, expires_ns });
     }
 
-    /// Moves every place, after the map was corrected.
+    /// Applies `moved`, the correction of the map, to every listed place.
     pub fn move_places(&mut self, moved: impl Fn([f64; 2]) -> [f64; 2]) {
         for entry in &mut self.entries {
             entry.place_m = moved(entry.place_m);

@@ -28,7 +28,7 @@ pub enum BlindPolicy {
     },
     /// Forward; after a collision it rotates 10 degrees to the right.
     Forward {
-        /// Remaining rotation steps.
+        /// Number of rotation steps that are left.
         rotations_left: usize,
     },
 }

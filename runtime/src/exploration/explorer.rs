@@ -37,7 +37,7 @@ const REVISIT_DRAWS: usize = 16;
 pub struct Observations<'a> {
     pub tick: u64,
     pub time_ns: u64,
-    /// `t_odom_base`.
+    /// Pose of the robot, `t_odom_base`.
     pub pose: Pose2,
     pub map: &'a OccupancyGrid,
     /// The newest single-frame map and an older one, to compare them.
@@ -130,7 +130,8 @@ impl Explorer {
         }
     }
 
-    /// Moves everything that is remembered by its place, after the map was corrected. The path is planned anew.
+    /// Applies the correction of the map, `moved`, to the goal, the blacklist and the recorded positions. The next
+    /// tick plans a new path.
     pub fn move_places(&mut self, moved: impl Fn([f64; 2]) -> [f64; 2]) {
         if let Some(goal) = &mut self.goal {
             goal.target_m = moved(goal.target_m);

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct Cell {
     /// Row. It is the first field so that cells sort row by row.
     pub y: i32,
-    /// Column.
+    /// Column of the cell.
     pub x: i32,
 }
 
@@ -52,11 +52,11 @@ impl Cell {
 /// Occupancy of a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum CellState {
-    /// Never observed, or outside the map window: log-odds of exactly 0.
+    /// The cell was never observed, or is outside the map window: its log-odds are exactly 0.
     Unknown,
-    /// Log-odds below 0.
+    /// The cell is free: its log-odds are below 0.
     Free,
-    /// Log-odds above 0.
+    /// The cell is occupied: its log-odds are above 0.
     Occupied,
 }
 

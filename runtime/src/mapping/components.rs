@@ -15,7 +15,7 @@ pub(super) struct Run {
     parent: u32,
 }
 
-/// An 8-connected group.
+/// An 8-connected group of cells.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Component {
     pub cells: usize,

@@ -7,7 +7,7 @@ use super::{CellBox, CellState, SingleFrameMap};
 /// A group of cells that are free in one single-frame map and occupied in the other.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Inconsistency {
-    /// Number of cells.
+    /// Number of cells in the group.
     pub cells: usize,
     /// Centroid of the cells in `odom`, metres. It may lie inside an obstacle.
     pub centroid_m: [f64; 2],

@@ -1,11 +1,12 @@
-//! Draws the map anew after localization has corrected the path.
+//! Recomposes the map from its sections after localization has corrected the path.
 //!
 //! The path is divided into sections of a few metres, and every cell knows the section from which it was observed last. When a
 //! loop is closed, each section gets a correction of its own, and its cells move with it. Where moved sections overlap, the later
 //! section wins, as its observations would have done on the corrected path.
 //!
-//! A recomposition takes a number of cells per call, so that a tick stays within its time. The map stays as it is until the last
-//! call, in which it is exchanged as a whole. The robot maps on meanwhile: its current section comes last.
+//! One call places a limited number of cells, so that a tick keeps its time budget. The old map stays in use until
+//! the last call, which replaces it as a whole. The robot continues to map in between: its current section is
+//! placed last.
 
 use hal::Pose2;
 use serde::{Deserialize, Serialize};
@@ -16,30 +17,32 @@ use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 /// A correction moves points of the map: `new = correction * old`.
 pub type Corrections = Vec<Pose2>;
 
-/// A map that is being drawn anew.
+/// A recomposition of the map that is under way.
 #[derive(Debug, Clone, Default)]
 pub struct Recomposition {
     corrections: Corrections,
     /// The cells of each section, in the old map.
     boxes: Vec<Option<CellBox>>,
     next: usize,
-    /// The window when the work began: its memory belongs to other cells once it has moved.
+    /// The window at the beginning of the work. If the window moves, its memory holds other cells, and the work
+    /// starts again.
     window: Option<CellBox>,
-    /// Of the new map, in the order of the window's memory: the index of the old cell plus 1; 0 for an unknown cell.
+    /// The cells of the new map, in the order of the window's memory: the index of the old cell plus 1, or 0 for an
+    /// unknown cell.
     source: Vec<u32>,
 }
 
-/// What is left to do.
+/// Whether a recomposition is finished.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Recomposed {
-    /// The map is unchanged; call again.
+    /// Cells are left to be placed, and the map is unchanged; call again.
     Unfinished,
-    /// The map is the new one.
+    /// The map has been replaced.
     Done,
 }
 
 impl OccupancyGrid {
-    /// From now on, observed cells belong to this section of the path. Sections count up.
+    /// Assigns all cells that are observed from now on to this section of the path. Section numbers increase.
     pub fn begin_section(&mut self, section: u16) {
         self.section = section;
     }
@@ -57,7 +60,7 @@ impl OccupancyGrid {
         (self.stored[index] != 0.0).then(|| self.section_of[index])
     }
 
-    /// Begins to draw the map anew. `corrections` has one entry per section; a section without one stays.
+    /// Begins a recomposition. `corrections` has one entry per section; a section without an entry stays where it is.
     #[must_use]
     pub fn begin_recomposition(&self, corrections: Corrections) -> Recomposition {
         Recomposition {
@@ -69,9 +72,9 @@ impl OccupancyGrid {
         }
     }
 
-    /// Goes on drawing the map anew: about `cells` cells of work. The section must not change before it is done.
+    /// Continues the recomposition with about `cells` cells. The section must not change before it is done.
     pub fn recompose(&mut self, work: &mut Recomposition, cells: usize) -> Recomposed {
-        // A snapshot of another map.
+        // The work comes from a snapshot of a map of another size.
         if work.source.len() != self.stored.len() {
             work.window = None;
         }
@@ -90,7 +93,7 @@ impl OccupancyGrid {
                 return Recomposed::Unfinished;
             }
         }
-        // The current section has grown since the beginning, also over cells of others.
+        // The current section has grown since the beginning, also over cells of other sections.
         for source in &mut work.source {
             let from = source.checked_sub(1).map(|from| from as usize);
             if from.is_some_and(|from| usize::from(self.section_of[from]) == current) {
@@ -210,14 +213,14 @@ impl OccupancyGrid {
     }
 
     fn box_of_known(&self) -> Option<CellBox> {
-        // The new map may reach further than the old one.
+        // The new map may extend further than the old one.
         let boxes = self.boxes_of_sections(self.window.cells());
         boxes.into_iter().flatten().reduce(|all, one| all.including(one.min).including(one.max))
     }
 }
 
 impl Recomposition {
-    /// The correction of each section.
+    /// The corrections that this recomposition applies, one per section.
     #[must_use]
     pub fn corrections(&self) -> &[Pose2] {
         &self.corrections

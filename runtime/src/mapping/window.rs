@@ -45,13 +45,13 @@ impl CellBox {
         Self { min: self.min.offset(-cells, -cells), max: self.max.offset(cells, cells) }
     }
 
-    /// Number of columns.
+    /// Number of columns of the box.
     #[must_use]
     pub fn width(&self) -> usize {
         (self.max.x - self.min.x + 1) as usize
     }
 
-    /// Number of rows.
+    /// Number of rows of the box.
     #[must_use]
     pub fn height(&self) -> usize {
         (self.max.y - self.min.y + 1) as usize

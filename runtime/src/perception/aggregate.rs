@@ -22,7 +22,7 @@ const START: PathCosts = [WALL; PLANES + 2];
 /// The cost volume and the penalties of its aggregation.
 #[derive(Debug, Clone, Copy)]
 pub struct Volume<'a> {
-    /// Rows x columns.
+    /// Matching costs, rows x columns x planes.
     pub costs: &'a [[u8; PLANES]],
     pub width: usize,
     /// Grey values, rows x columns, 256 to a grey level: P2 is lower across edges.

@@ -51,8 +51,8 @@ impl CensusImage {
             >= self.width * self.height
     }
 
-    /// From `data` of `bytes` bytes per pixel. Every band has its own grey values, including the first row of the next band,
-    /// so that they stay in the cache.
+    /// Averages 2x2 pixels of `data`, which has `bytes` bytes per pixel. Every band computes its own grey values,
+    /// including those of the next band's first row, so that they stay in the cache.
     fn smooth_2x2(&mut self, data: &[u8], bytes: usize) {
         let width = self.width;
         let height = self.height;

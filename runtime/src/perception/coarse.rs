@@ -140,8 +140,8 @@ impl CoarseDepth {
     /// Depth of `frame` (RGB8 or GRAY8), taken at `t_odom_camera`, from the frames before it.
     ///
     /// # Errors
-    /// Why there is none. A frame of the wrong size, without texture, of a frozen camera or with a pose that is not finite
-    /// has no effect on later frames; every other frame has.
+    /// The reason why the frame has no depth. A frame of the wrong size, without texture, of a frozen camera or with a
+    /// pose that is not finite has no effect on later frames; every other frame has.
     pub fn estimate(
         &mut self,
         frame: ImageView<'_>,

@@ -81,7 +81,7 @@ pub enum PerceptionError {
     Setting {
         field: &'static str,
         value: String,
-        /// The allowed values.
+        /// The values that are allowed.
         allowed: &'static str,
     },
     /// The optical flow, which the search for moving objects needs, cannot be computed.
@@ -90,9 +90,9 @@ pub enum PerceptionError {
     /// The camera cannot be used.
     #[error("perception: the camera {width}x{height} (fx {fx}, fy {fy}) cannot be used: {why}")]
     Camera {
-        /// Columns.
+        /// Columns of the image.
         width: usize,
-        /// Rows.
+        /// Rows of the image.
         height: usize,
         /// Horizontal focal length in pixels.
         fx: f64,
@@ -148,7 +148,7 @@ impl CoarseConfig {
     }
 }
 
-// By value: every caller has a number at hand.
+// The value is passed by value because every caller has just computed it.
 #[allow(clippy::needless_pass_by_value)]
 fn require(
     field: &'static str,

@@ -38,7 +38,7 @@ impl Memory {
         self.beliefs.is_empty() || self.beliefs.len() == cells
     }
 
-    /// Row-major.
+    /// The beliefs of all cells, row-major.
     pub fn beliefs(&self) -> &[Belief] {
         &self.beliefs
     }

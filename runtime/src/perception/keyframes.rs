@@ -9,7 +9,7 @@ use crate::snapshot::{SnapshotError, State};
 /// An earlier frame and the pose at which it was taken.
 #[derive(Debug, Clone)]
 pub struct Keyframe {
-    /// `t_odom_camera`.
+    /// Pose of the frame, `t_odom_camera`.
     pub pose: Pose3,
     pub census: CensusImage,
 }
@@ -97,7 +97,7 @@ impl Keyframes {
                     let parallax_px = prediction.as_ref()?.parallax_px;
                     Some((index, (parallax_px / desired_px).ln().abs()))
                 })
-                // Of equals the newest: it shares the most with this frame.
+                // Of equally good keyframes the newest is taken: it shares the most with this frame.
                 .min_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
                 .map(|(index, _)| index);
             if !chosen.contains(&best) {

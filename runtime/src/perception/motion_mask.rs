@@ -15,7 +15,7 @@ use super::sweep::{CELL, homography, length};
 /// Minimum distance of a moving cell from its line, pixels: where there is texture, flow of this preset is seldom wrong by
 /// more.
 const OFF_PX: f32 = 3.0;
-/// The same as a multiple of the median distance: where most cells are off, it is the pose that is wrong.
+/// Minimum distance as a multiple of the median distance: if most cells are far off their lines, the pose is wrong.
 const OFF_OVER_MEDIAN: f32 = 6.0;
 /// Half of the side of the square of cells of which most must be off: thin strips are occlusion edges.
 const SQUARE: isize = 2;
@@ -45,7 +45,7 @@ impl MotionMask {
         }
     }
 
-    /// Clears the mask.
+    /// Clears the mask: no cell moves.
     pub fn clear(&mut self) {
         self.moving.fill(false);
     }
@@ -55,8 +55,8 @@ impl MotionMask {
         &self.moving
     }
 
-    /// For every cell of 4x4 pixels, row-major, whether its content moved since the previous frame, to which `flow` leads.
-    /// `camera` has its pixels at the positions of `image.smooth`; no point is nearer than `nearest_m`.
+    /// Computes for every cell of 4x4 pixels, row-major, whether its content moved since the previous frame, to which
+    /// `flow` leads. `camera` has its pixels at the positions of `image.smooth`; no point is nearer than `nearest_m`.
     pub fn update(
         &mut self,
         image: &CensusImage,

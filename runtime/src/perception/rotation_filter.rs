@@ -25,7 +25,7 @@ const DEPTH_ERROR: f64 = 0.1;
 const STEP_ERROR_M: f64 = 0.003;
 /// Expected error of the rotation between two frames, radians.
 const ROTATION_ERROR_RAD: f64 = 0.005;
-/// The same as a share of the rotation.
+/// Expected error of the rotation between two frames, as a share of the rotation.
 const ROTATION_ERROR: f64 = 0.05;
 /// Expected error of flow, pixels; generous, because errors of neighbouring cells are correlated.
 const FLOW_ERROR_PX: f64 = 2.0;

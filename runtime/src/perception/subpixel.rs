@@ -61,7 +61,8 @@ pub fn refine_votes<'a>(
     }
 }
 
-/// Of the references that see the whole patch, the one in which its position depends most on its depth: it measures depth best.
+/// Selects, of the references that see the whole patch, the one in which its position depends most on its depth: it
+/// measures depth best.
 #[inline(always)]
 fn fastest<'a>(
     references: &[Option<Reference<'a>>],

@@ -161,7 +161,7 @@ pub fn length(x: f32, y: f32) -> f32 {
 /// The projection of a point into a reference.
 #[derive(Debug, Clone, Copy)]
 pub struct Observation {
-    /// Full-size pixels.
+    /// Position of the projection, full-size pixels.
     position: [f32; 2],
     per_z: f32,
     /// Derivative of the position with respect to inverse depth, pixels metre.
@@ -172,7 +172,7 @@ pub struct Observation {
 
 /// The projection of a point into a reference, with its derivatives.
 pub struct PatchObservation {
-    /// Full-size pixels.
+    /// Position of the projection, full-size pixels.
     pub position: [f32; 2],
     /// Derivative of the position per pixel to the right in the current frame.
     pub along_u: [f32; 2],
@@ -180,7 +180,7 @@ pub struct PatchObservation {
     pub along_v: [f32; 2],
     /// Derivative of the position with respect to inverse depth, pixels metre.
     pub motion: [f32; 2],
-    /// Length of `motion`.
+    /// Length of `motion`, pixels metre.
     pub speed: f32,
 }
 
@@ -249,7 +249,8 @@ fn fuse(each: &[[u8; PLANES]; MAX_REFERENCES], out: &mut [u8; PLANES]) -> u8 {
             worst = worst.max(bits);
             count = count.wrapping_add(u8::from(seen));
         }
-        // At most 96, so nothing here overflows: wrapping operations keep builds with overflow checks vectorised.
+        // The sum is at most 96, so nothing here overflows: wrapping operations keep builds with overflow checks
+        // vectorised.
         let kept = if count == 3 { sum.wrapping_sub(worst) } else { sum };
         let cost = if count == 1 { kept << 1 } else { kept };
         *out = if count == 0 { OUTSIDE } else { cost };

@@ -10,14 +10,15 @@ use super::sweep::CELL;
 
 /// Cells agree when their inverse depths differ by less than this share: one surface, not two.
 const ONE_SURFACE: f32 = 0.15;
-/// Extra cost of a corner one cell away from the pixel against its brightness difference, 256 to a grey level.
+/// Cost of one cell of distance between a corner and the pixel, in the unit of brightness differences: 256 to a grey
+/// level.
 const FARTHER: f32 = 2048.0;
 
 /// Beliefs and brightness of all cells.
 #[derive(Debug, Clone, Copy)]
 pub struct Cells<'a> {
     pub width: usize,
-    /// Row-major.
+    /// Beliefs of all cells, row-major.
     pub beliefs: &'a [Belief],
     /// Probability that each belief is right.
     pub confidence: &'a [f32],

@@ -87,7 +87,8 @@ impl Buckets {
             }
             steps += 64;
         }
-        // Not reached, because `len` is the number of entries in the ring and is not 0 here.
+        // This is not reached, because `len` is the number of entries in the ring and is not 0
+        // here.
         RING as u32
     }
 }

@@ -9,9 +9,9 @@ use hal::settings::OutOfRange;
 pub struct ConfigError {
     /// Name of the field.
     pub field: &'static str,
-    /// Its value.
+    /// The refused value.
     pub value: f64,
-    /// The allowed values.
+    /// The values that are allowed.
     pub allowed: &'static str,
 }
 

@@ -20,7 +20,7 @@ pub enum Primitive {
     ArcLeft,
     /// Half a step forward while rotating clockwise.
     ArcRight,
-    /// No motion.
+    /// No motion in this tick.
     Stay,
 }
 
@@ -110,7 +110,7 @@ impl Follower {
         Ok(())
     }
 
-    /// Drops the path.
+    /// Drops the current path.
     pub fn clear(&mut self) {
         self.points_m.clear();
         self.lengths_m.clear();

@@ -11,7 +11,7 @@ pub(super) const DIAGONAL: u32 = 17;
 /// Cost of a straight step on free floor.
 pub(super) const FREE_STEP: u32 = STRAIGHT * FREE as u32;
 pub(super) const FREE_DIAGONAL: u32 = DIAGONAL * FREE as u32;
-/// The start cell was not entered by a step.
+/// The value for the start cell, which was not entered by a step.
 pub(super) const NO_STEP: u8 = 8;
 /// Steps as (column, row), counter-clockwise from +x in eighths of a rotation: even ones are
 /// straight, odd ones diagonal.

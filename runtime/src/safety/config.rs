@@ -110,7 +110,7 @@ impl SafetySection {
 }
 
 impl Default for SafetyConfig {
-    /// For the simulated robot.
+    /// The configuration for the default simulated robot.
     fn default() -> Self {
         Self {
             // The speeds of the default robot, without the rounding error of dividing a step by a tick: recorded decisions

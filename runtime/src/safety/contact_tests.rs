@@ -1,11 +1,12 @@
-//! Tests of repeated contacts: the safety plane does not push against a hand or a cable for ever.
+//! Tests of repeated contacts: the safety plane does not push against a hand or a cable again and
+//! again.
 
 use super::tests::{FORWARD, Room};
 use super::*;
 
 const ROTATION: Twist2 = Twist2 { linear_mps: 0.0, angular_radps: 0.3 };
 
-/// Ticks with a bumper that stays pressed, until the safety plane gives up.
+/// Number of ticks with a bumper that stays pressed until the safety plane gives up.
 fn ticks_until_given_up(plan: Twist2) -> usize {
     let mut room = Room::new(3.0, Pose2::IDENTITY);
     room.tick(Twist2::ZERO);

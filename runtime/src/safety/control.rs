@@ -4,7 +4,7 @@
 //!
 //! A request to arm gives the loop *authority* to arm the base. The authority ends with every event
 //! that needs a person ([`STOPS`](super::STOPS)), with a request to disarm, and if the base cannot be
-//! armed within [`ARM_WITHIN_NS`]. So no wheel turns unless a person asked for it after the last such
+//! armed within [`ARM_WITHIN_NS`]. So no wheel rotates unless a person asked for it after the last such
 //! event. While the authority lasts, a base that has to be armed again after a stop that resumes on
 //! evidence is armed without a new request.
 
@@ -21,11 +21,11 @@ const ARM_WITHIN_NS: u64 = 10_000_000_000;
 /// What one step gets from outside the safety loop.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Orders {
-    /// The newest plan.
+    /// The newest plan of the exploration loop.
     pub plan: Option<Plan>,
-    /// The operator's request. It is remembered: one step is enough.
+    /// The operator's request. It has to be given in one step only, because the loop stores it.
     pub request: Option<Request>,
-    /// An emergency stop is pressed that the base does not read: the operator's.
+    /// The operator's own emergency stop is pressed. The base does not read it.
     pub emergency_stop: bool,
     /// The computer was suspended since the last step.
     pub suspended: bool,
@@ -54,9 +54,9 @@ enum Readiness {
     Arming,
     /// The base cannot be reached, or its motors are silent.
     Absent,
-    /// The base is there and not ready yet.
+    /// The base is present and not ready yet.
     NotYet,
-    /// The base reports a fault, or somebody holds it stopped.
+    /// The base reports a fault, or an emergency stop holds it.
     Refused,
 }
 
@@ -242,7 +242,8 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         }
     }
 
-    /// Why a request to arm that was not followed yet is void from now on, if it is.
+    /// The reason why a request to arm that is still pending becomes void in this step, if there is
+    /// one.
     fn lapse(
         &self,
         now_ns: u64,
@@ -279,7 +280,8 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         };
         self.counter = self.counter.wrapping_add(1);
         let counter = self.counter;
-        // No plan is behind a motion of the safety plane's own, and none behind standing still after a refused plan.
+        // The age of the plan does not matter for a motion that the safety plane decides, nor for
+        // standing still after a refused plan.
         let without_plan = output.in_charge || twist == hal::Twist2::ZERO;
         let plan_age_ns = if without_plan { 0 } else { plan_age_ns };
         if let Err(error) = self.base.drive(&DriveCommand { twist, counter, plan_age_ns }) {
@@ -290,7 +292,7 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         SentCommand::drive(now_ns, counter, twist)
     }
 
-    /// The state machine.
+    /// The safety plane's state machine.
     pub fn plane(&self) -> &SafetyPlane {
         &self.plane
     }
@@ -320,8 +322,8 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
     }
 }
 
-/// What it means that the base refused a command or to be armed. A loop that called too late is no
-/// fault of the base.
+/// The reason for a stop when the base refused a command or refused to be armed. A loop that called
+/// too late is no fault of the base.
 fn refusal(cause: Option<StopCause>, kind: ErrorKind) -> FaultReason {
     match cause {
         Some(StopCause::EmergencyStop) => FaultReason::EmergencyStop,
@@ -355,7 +357,7 @@ mod tests {
         }
     }
 
-    /// A base that powers its motors over three turns, on wheels that do as they are told.
+    /// A base that powers its motors within three steps, and whose wheels follow commands exactly.
     #[derive(Default)]
     struct Motors {
         time_ns: u64,
@@ -365,7 +367,7 @@ mod tests {
         broken: Option<ErrorKind>,
         counters: Vec<u32>,
         plan_age_ns: u64,
-        /// What the feedback says instead of a measurement.
+        /// The error that the feedback returns instead of a measurement.
         unheard: Option<ErrorKind>,
     }
 
@@ -458,7 +460,7 @@ mod tests {
             self.control.step(self.now_ns, &Orders { plan, request, ..Orders::default() }).output
         }
 
-        /// The age that the base was told.
+        /// Runs a step with a plan of this age; returns the plan age that the base received.
         fn step_with_plan_of_age(&mut self, age_ns: u64) -> u64 {
             self.now_ns += 10 * MS;
             (self.control.base.time_ns, self.control.lidar.time_ns) = (self.now_ns, self.now_ns);
@@ -653,7 +655,8 @@ mod tests {
         robot.drives_after(50);
         assert_eq!(robot.step_with_plan_of_age(40 * MS), 40 * MS);
         assert_eq!(robot.step_with_plan_of_age(400 * MS), 0, "refused: it stands");
-        // A wall: after a turn at a stand it drives back by itself, however old the plan.
+        // A wall: after one step at standstill the robot backs off without a plan, whatever the age
+        // of the plan.
         robot.control.lidar.ahead_m = 0.2;
         let ages: Vec<u64> = (0..3).map(|_| robot.step_with_plan_of_age(40 * MS)).collect();
         assert!(robot.control.base.moved.last().is_some_and(|twist| twist.linear_mps < 0.0));

@@ -1,8 +1,8 @@
-//! What the scanner does not see of the way ahead.
+//! What the scanner does not see of the path ahead.
 //!
 //! A beam without a measurement is not free space. An *error* beam carries no information: dirt on
 //! the window, a hand, low sun. A beam *without a return* met glass or something black, or nothing
-//! within range. Single such beams are ordinary, so the way ahead counts as unseen only where they
+//! within range. Single such beams are ordinary, so the path ahead counts as unseen only where they
 //! fill a window that is wide enough to hide an obstacle.
 
 use hal::{LaserScan, Range, ScanGeometry, Twist2};
@@ -16,15 +16,15 @@ use super::surroundings::is_error;
 const ERROR_WINDOW_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 /// A window with at least this share of error beams is blind. Low sun leaves single random returns.
 const ERROR_SHARE: f64 = 0.8;
-/// Beams without a measurement of any kind are judged in wider windows: at 0.6 m they hide a table
-/// leg's width ten times, and in a room some beam of 30 degrees meets something.
+/// Beams without any measurement are judged in a wider window, which at 0.6 m is as wide as ten
+/// table legs (0.31 m): in a room, some beam within 30 degrees normally meets something.
 const UNSEEN_WINDOW_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
 const UNSEEN_SHARE: f64 = 0.9;
-/// The way ahead is judged where the footprint will be when its centre has moved this far beyond its
-/// own radius, metres: at the stop distance, and where the robot must begin to brake.
+/// The path ahead is judged where the footprint will be when its centre has moved this far beyond
+/// its own radius, metres: at the stop distance, and where the robot must begin to brake.
 const AHEAD_M: [f64; 2] = [0.06, 0.25];
 
-/// What a beam says about the space along it.
+/// What a beam measured of the space along it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 enum Sight {
     Measured,
@@ -32,7 +32,7 @@ enum Sight {
     Error,
 }
 
-/// The beams of the newest scan, by what they say.
+/// The beams of the newest scan, each with what it measured.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct View {
     sights: Vec<Sight>,
@@ -41,7 +41,8 @@ pub(super) struct View {
 crate::snapshot::remembers!(View: sights);
 
 impl View {
-    /// Takes in a scan. It allocates only when the number of beams grows.
+    /// Replaces the beams with those of a new scan. It allocates only when the number of beams
+    /// grows.
     pub fn update(&mut self, scan: &LaserScan) {
         self.sights.clear();
         self.sights.extend(scan.ranges.iter().map(|range| match range {
@@ -51,8 +52,8 @@ impl View {
         }));
     }
 
-    /// Whether a part of the way of a forward twist is not seen. The laser is `laser_forward_m` ahead
-    /// of `base_link`.
+    /// Whether a part of the path of a forward twist is not seen. The laser is `laser_forward_m`
+    /// ahead of `base_link`.
     pub fn is_blind(
         &self,
         geometry: &ScanGeometry,

@@ -2,7 +2,7 @@
 //! wheels.
 //!
 //! It reads the safety LiDAR, the wheel feedback and the emergency stop directly, and needs neither
-//! the camera nor the map. The planner's command (the plan) passes unchanged while the way is
+//! the camera nor the map. The planner's command (the plan) passes unchanged while the path is
 //! clear. Near an obstacle the safety plane reduces the speed so that the robot can always stop
 //! before it. When the robot comes too close, the safety plane stops it, backs off and, if that
 //! does not help, rotates it towards free space.
@@ -31,8 +31,8 @@
 //! | `Escaping` | 0.5 m ahead are free after 45 degrees; or one full rotation, a timeout, or a corner that would collide | `Clear` |
 //!
 //! The speed limit of a forward plan is the lowest of these: the speed from which the robot stops
-//! before the nearest obstacle on its way; 0.1 m/s beside an obstacle that is nearer than the
-//! scanner's noise; 0.15 m/s while the scanner does not see the way ahead, and 0 after 0.3 s.
+//! before the nearest obstacle on its path; 0.1 m/s beside an obstacle that is nearer than the
+//! scanner's noise; 0.15 m/s while the scanner does not see the path ahead, and 0 after 0.3 s.
 //!
 //! After a fault that resumes on evidence, speeds are limited to [`CREEP_MPS`] and [`CREEP_RADPS`]
 //! for [`CREEP_NS`].

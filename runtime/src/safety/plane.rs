@@ -55,7 +55,7 @@ const CONTACTS_BEFORE_GIVING_UP: usize = 3;
 /// Speed beside an obstacle within the lateral margin, m/s: a touch at this speed moves a chair, but
 /// breaks nothing.
 const BESIDE_MPS: f64 = 0.1;
-/// Speed while the scanner does not see the way ahead, m/s, and the time after which the robot
+/// Speed while the scanner does not see the path ahead, m/s, and the time after which the robot
 /// stands: by then it has covered less than half of the paper's stop distance of 0.1 m.
 const BLIND_MPS: f64 = 0.15;
 const BLIND_NS: u64 = 300_000_000;
@@ -94,7 +94,7 @@ pub struct SafetyPlane {
     contacts: Vec<(u64, [f64; 2])>,
     /// End of the slow restart after a stop that ended without a person.
     creep_until_ns: u64,
-    /// Since when the scanner has not seen the way ahead, and whether that was reported.
+    /// Time since which the scanner has not seen the path ahead, and whether that was reported.
     blind_since_ns: Option<u64>,
     view_lost: bool,
     /// Digest of the newest scan, and `t_odom_base` when it was first received.
@@ -184,7 +184,7 @@ impl SafetyPlane {
         wheel: Result<WheelFeedback, FaultReason>,
     ) -> SafetyOutput {
         if matches!(wheel, Err(FaultReason::BaseSilent | FaultReason::BaseFault)) {
-            // A base that was disconnected may restart its odometry anywhere, and somebody may have
+            // A base that was disconnected may restart its odometry anywhere, and a person may have
             // pushed the robot.
             self.rear.forget();
         }
@@ -319,7 +319,8 @@ impl SafetyPlane {
         if let Some(why) = input.base_error {
             return Err(why);
         }
-        // After a late step, old measurements are no news: the loop itself did not ask for others.
+        // After a late step, old measurements are expected, because the loop itself did not poll
+        // for newer ones.
         if timing == Timing::Late {
             return Err(FaultReason::LoopOverrun);
         }
@@ -422,7 +423,8 @@ impl SafetyPlane {
         };
         self.refused = None;
         if wheel.contact && desired != Twist2::ZERO {
-            // An obstacle that the scanner sees is the better explanation.
+            // A stop because of an obstacle that the scanner sees takes precedence, because it
+            // gives the better reason.
             return self
                 .trip_by_scan(input.time_ns, wheel, &desired)
                 .unwrap_or_else(|| self.trip_by_contact(input.time_ns, &wheel.odom));
@@ -493,8 +495,9 @@ impl SafetyPlane {
         if was_slow { pass.because(SafetyEvent::Cleared) } else { pass }
     }
 
-    /// Notes whether the scanner sees the way of a forward twist. Stands if it has not seen it for too
-    /// long; rotations stay possible, so that the robot can face another way.
+    /// Records whether the scanner sees the path of a forward twist. The robot stands if the
+    /// scanner has not seen it for too long; rotations stay possible, so that the robot can face
+    /// another direction.
     fn stand_if_blind(&mut self, time_ns: u64, desired: &Twist2) -> Option<SafetyOutput> {
         if !self.surroundings.is_blind_ahead(&self.footprint, desired) {
             self.blind_since_ns = None;
@@ -526,7 +529,7 @@ impl SafetyPlane {
         )
     }
 
-    /// The nearest obstacle on the way of a forward twist, if it is within reach, and the free
+    /// The nearest obstacle on the path of a forward twist, if it is within reach, and the free
     /// distance ahead, metres.
     fn free_ahead(&self, wheel: &WheelFeedback, desired: &Twist2) -> (Option<Obstacle>, f64) {
         let speed = desired.linear_mps.max(wheel.twist.linear_mps);
@@ -564,7 +567,7 @@ impl SafetyPlane {
         tripped
     }
 
-    /// Counts a contact. Whether there have been too many at this place.
+    /// Counts a contact, and returns whether there have been too many at this place.
     fn counts_to_giving_up(&mut self, time_ns: u64, odom: &Pose2) -> bool {
         let here = [odom.x_m, odom.y_m];
         forget_others(&mut self.contacts, time_ns, here);

@@ -146,7 +146,7 @@ impl RearMemory {
                 .filter_map(|(sector, observation)| Some((sector, observation.as_ref()?)));
             return observed_gap_m(observations, pose, footprint).min(limit_m).max(0.0);
         }
-        // The robot drove over this ground, but somebody may have stepped onto it since: an
+        // The robot drove over this ground, but a person may have stepped onto it since then. An
         // observation shows that.
         let observations = self.observations_behind(time_ns, pose).flatten();
         let observed_m = observed_gap_m(observations, pose, footprint);
@@ -212,8 +212,8 @@ impl RearMemory {
     }
 }
 
-/// Free distance straight back to the nearest observed return, metres; infinite if no return is in
-/// the way. A return may lie anywhere across the width of its direction, so its middle and both
+/// Free distance straight back to the nearest observed return, metres; infinite if no return is on
+/// the path. A return may lie anywhere across the width of its direction, so its middle and both
 /// edges are checked.
 fn observed_gap_m<'a>(
     observations: impl Iterator<Item = (usize, &'a Observation)>,

@@ -13,7 +13,7 @@ pub enum Restart {
     /// The robot continues on its own once there is this evidence, slowly at first
     /// ([`CREEP_MPS`], [`CREEP_RADPS`], for [`CREEP_NS`]).
     Evidence(&'static str),
-    /// A person has to look at the robot and arm it.
+    /// A person has to inspect the robot and arm it.
     Person,
 }
 

@@ -25,7 +25,7 @@ pub enum SafetyState {
     BackingOff(BackOff),
     /// Rotating on the spot until there is free space ahead, without a plan.
     Escaping(Escape),
-    /// Stopped until the reason is gone, or until a person has looked at the robot: see
+    /// Stopped until the reason is gone, or until a person has inspected the robot: see
     /// [`STOPS`](super::STOPS).
     Fault(FaultReason),
 }

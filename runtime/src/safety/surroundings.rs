@@ -211,7 +211,7 @@ impl Surroundings {
         }
     }
 
-    /// Whether a part of the way of a forward twist is not seen by the scanner.
+    /// Whether the scanner does not see a part of the path of a forward twist.
     #[must_use]
     pub fn is_blind_ahead(&self, footprint: &Footprint, twist: &hal::Twist2) -> bool {
         self.geometry.is_some_and(|geometry| {

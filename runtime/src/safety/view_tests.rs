@@ -1,10 +1,10 @@
-//! Tests of what the scanner does not see: errors and missing returns on the way, a wall within its
-//! noise, and a scan that repeats.
+//! Tests of what the scanner does not see: errors and missing returns on the path, a wall within
+//! its noise, and a scan that repeats.
 
 use super::tests::{FORWARD, Room, driving};
 use super::*;
 
-/// A tick in which the beams within `half_deg` of straight ahead are `instead`.
+/// Runs a tick in which all beams within `half_deg` of straight ahead are `instead`.
 fn tick_with_front(room: &mut Room, half_deg: f64, instead: Range) -> SafetyOutput {
     let mut scan = room.scan();
     for (beam, range) in scan.ranges.iter_mut().enumerate() {
@@ -92,7 +92,7 @@ fn wheels_that_turn_while_the_room_stands_still_stop_the_robot_until_a_person_ha
     while event.is_none() && odom_m < 5.0 {
         room.pose = start;
         let mut scan = room.scan();
-        // The noise of a working scanner.
+        // Noise makes every scan of a working scanner different.
         scan.ranges[0] = Range::Hit(1.0 + odom_m as f32);
         let mut input = room.input(FORWARD, Some(&scan), false);
         let odom = start.compose(&Pose2::new(odom_m, 0.0, 0.0));

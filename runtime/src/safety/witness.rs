@@ -24,8 +24,8 @@ const STEP_RAD: f64 = 0.2;
 const REFERENCE_NS: u64 = 2_000_000_000;
 /// Share of the sum of errors that remains at the next comparison.
 const MEMORY: f64 = 0.8;
-/// Bounds of the sums. With [`STEP_M`] and [`MEMORY`], a constant error of half of the motion reaches
-/// them, and wheels that turn while the robot stands reach them after 0.4 m or 0.8 rad.
+/// Bounds of the sums. With [`STEP_M`] and [`MEMORY`], a constant error of half of the motion
+/// reaches them, and wheels that rotate while the robot stands reach them after 0.4 m or 0.8 rad.
 const MOST_M: f64 = 0.25;
 const MOST_RAD: f64 = 0.5;
 /// About this many beams are matched.
@@ -80,7 +80,8 @@ impl Witness {
         self.drift_rad = 0.0;
     }
 
-    /// Takes in a scan with the newest `t_odom_base`. Whether wheels and scanner disagree.
+    /// Compares a new scan, taken at about `t_odom_base` = `odom`, with the reference; returns
+    /// whether wheels and scanner disagree.
     pub fn observe(&mut self, scan: &LaserScan, odom: &Pose2) -> bool {
         if self.geometry != Some(scan.geometry) {
             self.set_geometry(scan.geometry);
@@ -123,8 +124,8 @@ impl Witness {
         let guess = t_base_laser.inverse().compose(wheels).compose(&t_base_laser);
         self.drift_m *= MEMORY;
         self.drift_rad *= MEMORY;
-        // Wheels that are far from the truth give a guess from which no match is found. The robot
-        // then stood, or moved the other way.
+        // Wheels that are far from the truth give an initial guess from which no match is found.
+        // The robot then stood still, or moved in the opposite direction.
         let observed = self
             .match_scan(scan, &guess)
             .or_else(|| self.match_scan(scan, &Pose2::IDENTITY))
@@ -294,8 +295,8 @@ mod tests {
         LaserScan { time_ns, geometry: GEOMETRY, ranges: ranges.collect() }
     }
 
-    /// Drives for `seconds`. The wheels report `wheels`, the robot moves by `truth`. The time of the
-    /// first disagreement.
+    /// Drives for `seconds` while the wheels report `wheels` and the robot moves by `truth`;
+    /// returns the time of the first disagreement, seconds.
     fn disagrees_after_s(wheels: Twist2, truth: Twist2, seconds: f64) -> Option<f64> {
         let mut witness = Witness::new(0.1);
         let t_base_laser = Pose2::new(0.1, 0.0, 0.0);

@@ -39,25 +39,25 @@ pub trait Devices: Clock {
     }
 }
 
-/// What a program adds to the loop: recording, reports, new models. None of it changes a decision but the models, which are
-/// recorded as events.
+/// What a program adds to the loop: recording, reports, new models. Only a new model changes
+/// decisions, and it is recorded as an event.
 pub trait Observer: StageTimer {
-    /// Ends the session.
+    /// The error that ends the session.
     type Error;
 
-    /// A tick begins.
+    /// Called when a tick begins.
     fn started(&mut self) {}
 
-    /// The tick's input is complete, and the robot has not seen it yet.
+    /// Called when the tick's input is complete, before the robot processes it.
     ///
     /// # Errors
-    /// What ends the session.
+    /// An error ends the session.
     fn before(&mut self, robot: &mut Robot, input: &TickInput<'_>) -> Result<(), Self::Error>;
 
-    /// The robot has decided, and the plan is with the safety loop.
+    /// Called when the robot has decided and the plan is with the safety loop.
     ///
     /// # Errors
-    /// What ends the session.
+    /// An error ends the session.
     fn after(
         &mut self,
         robot: &mut Robot,
@@ -108,11 +108,11 @@ impl<D: Devices> Session<D> {
         self.devices.sleep_until_ns(self.due_ns);
     }
 
-    /// One tick: the newest frame, with the wheels and the scan of its moment. `None`, and no tick is counted, before the first
-    /// wheel feedback.
+    /// Runs one tick with the newest frame and with the wheels and the scan at the time of that
+    /// frame. Returns `None`, and counts no tick, before the first wheel feedback.
     ///
     /// # Errors
-    /// The observer's.
+    /// The error of the observer.
     pub fn tick<O: Observer>(&mut self, observer: &mut O) -> Result<Option<Decision>, O::Error> {
         observer.started();
         let frame_ns = self.devices.poll_frame();
@@ -137,7 +137,7 @@ impl<D: Devices> Session<D> {
         };
         observer.before(&mut self.robot, &input)?;
         let decision = self.robot.tick(&input, observer);
-        // The plan is as old as the observation it was made on, and never newer than now.
+        // The plan is as old as the observation that it is based on, and never newer than now.
         let plan_ns = wheel.time_ns.min(time_ns);
         self.port.plan.write(Some(Plan { twist: decision.desired.into(), time_ns: plan_ns }));
         self.tick += 1;
@@ -145,17 +145,17 @@ impl<D: Devices> Session<D> {
         Ok(Some(decision))
     }
 
-    /// Ticks so far.
+    /// Number of ticks so far.
     pub fn ticks(&self) -> u64 {
         self.tick
     }
 
-    /// Ticks that were skipped because the one before took longer than its period.
+    /// Number of ticks that were skipped because the one before took longer than its period.
     pub fn skipped(&self) -> u64 {
         self.skipped
     }
 
-    /// The robot.
+    /// The robot, for reading its state.
     pub fn robot(&self) -> &Robot {
         &self.robot
     }
@@ -165,17 +165,17 @@ impl<D: Devices> Session<D> {
         &mut self.robot
     }
 
-    /// The devices.
+    /// The devices, for example to read their counts.
     pub fn devices(&self) -> &D {
         &self.devices
     }
 
-    /// The devices.
+    /// The devices, for writing.
     pub fn devices_mut(&mut self) -> &mut D {
         &mut self.devices
     }
 
-    /// Ends the session.
+    /// Ends the session, and returns the devices and the robot.
     pub fn into_parts(self) -> (D, Robot) {
         (self.devices, self.robot)
     }
@@ -184,7 +184,7 @@ impl<D: Devices> Session<D> {
 /// Decides a recorded tick again.
 ///
 /// # Errors
-/// A frame whose bytes do not fit its size.
+/// The bytes of the recorded frame do not fit its size.
 pub fn recompute(robot: &mut Robot, tick: &RecordedTick) -> Result<Decision, RecordingError> {
     Ok(robot.tick(&tick.input()?, &mut ()))
 }

@@ -1,5 +1,5 @@
-//! The queues between the safety loop and the exploration loop: of fixed size, without lock and without allocation. What does
-//! not fit is dropped and counted.
+//! The queues between the safety loop and the exploration loop. They have a fixed size, take no
+//! lock and allocate nothing. An item that does not fit is dropped and counted.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -15,9 +15,10 @@ use crate::tick::{SafetyReport, SentCommand};
 
 /// Wheel feedback of 0.6 s at 100 Hz: six ticks of 0.1 s.
 const WHEELS: usize = 64;
-/// More changes of state than a tick can bring.
+/// Changes of state; one tick brings fewer.
 const CHANGES: usize = 64;
-/// Commands of 20 s at 100 Hz: a tick that takes longer is a defect, and the report says what is missing.
+/// Commands of 20 s at 100 Hz. A longer tick is a defect; the report then contains the number of
+/// missing commands.
 const SENT: usize = 2048;
 
 /// A change of the safety plane's state.
@@ -27,7 +28,7 @@ struct Change {
     blocked_m: Option<[f64; 2]>,
 }
 
-/// The safety loop with its ends of the queues.
+/// The safety loop with its ends of the queues to exploration.
 pub struct SafetyTask<B, L> {
     control: SafetyLoop<B, L>,
     plans: Output<Option<Plan>>,
@@ -43,7 +44,7 @@ pub struct SafetyTask<B, L> {
 pub struct SafetyPort {
     /// The newest plan goes in here.
     pub plan: Input<Option<Plan>>,
-    /// The recent scans.
+    /// The recent scans, with the exploration loop's end of their circulation.
     pub(super) scans: ScanHistory,
     wheels: rtrb::Consumer<WheelFeedback>,
     changes: rtrb::Consumer<Change>,
@@ -86,7 +87,8 @@ impl<B: Base, L: Lidar> SafetyTask<B, L> {
             self.scans.push(scan);
         }
         if let Some(wheel) = step.wheel {
-            // Full only while exploration is late; it then uses the newest of what it finds.
+            // The queue is full only while exploration is late; exploration then uses the newest
+            // feedback that it finds.
             let _ = self.wheels.push(wheel);
         }
         let SafetyStep { output, sent, .. } = step;
@@ -96,12 +98,13 @@ impl<B: Base, L: Lidar> SafetyTask<B, L> {
         if self.sent.push(sent).is_err() {
             self.sent_dropped.fetch_add(1, Ordering::Relaxed);
         }
-        // Not `output.in_charge`: the step that changes the state still belongs to the state before.
+        // `output.in_charge` is not used here: the step that changes the state still reports the
+        // state before it.
         self.in_charge.store(step.state.is_in_charge(), Ordering::Release);
         step
     }
 
-    /// The safety loop.
+    /// The safety loop, for reading its state.
     pub fn control(&self) -> &SafetyLoop<B, L> {
         &self.control
     }
@@ -113,7 +116,7 @@ impl<B: Base, L: Lidar> SafetyTask<B, L> {
 }
 
 impl SafetyPort {
-    /// Fetches everything that the safety loop has brought since the last call.
+    /// Fetches everything that the safety loop has sent since the last call.
     pub(super) fn update(&mut self, wheels: &mut WheelHistory, report: &mut SafetyReport) {
         while let Ok(wheel) = self.wheels.pop() {
             wheels.push(wheel);

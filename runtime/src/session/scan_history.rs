@@ -1,18 +1,20 @@
-//! The scanner's recent past: a picture is taken some milliseconds before it is looked at, and belongs beside the scan of its
-//! moment, not beside the newest.
+//! The recent scans. A frame is processed some milliseconds after it was taken, and it must be
+//! combined with the scan of that time, not with the newest one.
 //!
-//! Scans go round between the safety thread and exploration, so that nobody waits and nothing is allocated.
+//! The safety thread fills scans, and exploration returns them for reuse. So neither thread waits
+//! or allocates.
 
 use std::collections::VecDeque;
 
 use hal::{LaserScan, ScanGeometry};
 
-/// Scans that are remembered: 0.6 s of a fast scanner (40 Hz), and cameras are late by less.
+/// Number of scans that are kept: 0.6 s of a fast scanner (40 Hz). The latency of cameras is lower.
 const REMEMBERED: usize = 24;
-/// As many may be on their way while exploration is busy.
+/// Number of scans in circulation: those that are kept, and as many again that may be queued while
+/// exploration is busy.
 const SCANS: usize = 2 * REMEMBERED;
 
-/// Both ends of a round of scans.
+/// Both ends of a circulation of scans.
 #[must_use]
 pub fn scan_history(geometry: ScanGeometry) -> (ScanWriter, ScanHistory) {
     let (full, filled) = rtrb::RingBuffer::new(SCANS);
@@ -26,14 +28,15 @@ pub fn scan_history(geometry: ScanGeometry) -> (ScanWriter, ScanHistory) {
     )
 }
 
-/// The safety thread's end.
+/// The safety thread's end of the circulation.
 pub struct ScanWriter {
     empty: rtrb::Consumer<LaserScan>,
     full: rtrb::Producer<LaserScan>,
 }
 
 impl ScanWriter {
-    /// Hands a scan on; while nobody fetches them, they are dropped.
+    /// Queues a copy of a scan. The scan is dropped if exploration has not fetched the earlier
+    /// ones.
     pub fn push(&mut self, scan: &LaserScan) {
         if let Ok(mut copy) = self.empty.pop() {
             copy.clone_from(scan);
@@ -42,17 +45,17 @@ impl ScanWriter {
     }
 }
 
-/// Exploration's end.
+/// The exploration thread's end of the circulation.
 pub struct ScanHistory {
     filled: rtrb::Consumer<LaserScan>,
     spent: rtrb::Producer<LaserScan>,
-    /// Oldest first.
+    /// The scans that are kept, oldest first.
     past: VecDeque<LaserScan>,
     told_ns: Option<u64>,
 }
 
 impl ScanHistory {
-    /// Fetches what came since the last call.
+    /// Fetches the scans that were queued since the last call.
     pub fn update(&mut self) {
         while let Ok(scan) = self.filled.pop() {
             self.past.push_back(scan);
@@ -64,8 +67,8 @@ impl ScanHistory {
         }
     }
 
-    /// The scan that was half-way round nearest to this moment. None that is two periods away, and none a second time: that
-    /// would be news of another moment.
+    /// The scan whose middle is nearest to `time_ns`. `None` if it is two periods away or more, or
+    /// if this scan or a newer one was returned before: no scan is used twice.
     pub fn nearest(&mut self, time_ns: u64) -> Option<&LaserScan> {
         let apart_ns =
             |scan: &LaserScan| (scan.time_ns + scan.geometry.period_ns / 2).abs_diff(time_ns);
@@ -87,7 +90,7 @@ mod tests {
     const GEOMETRY: ScanGeometry = ScanGeometry::UTM_30LX;
     const PERIOD_NS: u64 = GEOMETRY.period_ns;
 
-    /// The scan that begins after so many periods.
+    /// The scan that begins `number` periods after time 0.
     fn scan(number: u64) -> LaserScan {
         LaserScan {
             time_ns: number * PERIOD_NS,

@@ -1,4 +1,4 @@
-//! The loop over devices that this file makes up.
+//! Tests of the session with simulated devices: a robot in a corridor.
 
 use std::sync::{Arc, Mutex};
 
@@ -129,7 +129,7 @@ impl Clock for CorridorClock {
     }
 }
 
-/// No camera: the session's devices are the clock alone.
+/// The devices of a session without a camera: only a clock.
 struct Blind<K>(K);
 
 impl<K: Clock> Clock for Blind<K> {
@@ -152,7 +152,7 @@ impl<K: Clock> Devices for Blind<K> {
     }
 }
 
-/// What a recording would hold.
+/// The observer keeps what a recording would contain.
 #[derive(Default)]
 struct Record {
     ticks: Vec<(Decision, SafetyReport)>,

@@ -26,7 +26,7 @@ impl<K: Clock, B: Base, L: Lidar> VirtualTime<K, B, L> {
         self.request = Some(request);
     }
 
-    /// The safety loop.
+    /// The safety loop, for reading its state.
     pub fn safety(&self) -> &SafetyTask<B, L> {
         &self.safety
     }
@@ -61,31 +61,32 @@ pub struct VirtualDevices<K, C> {
     ground_truth: Option<GroundTruth>,
 }
 
-/// Where the depth source `truth` gets its depth from.
+/// The source of depth for the depth source `truth`.
 struct GroundTruth {
     read: Box<dyn FnMut(&mut DepthMap)>,
     depth: DepthMap,
 }
 
 impl<K: Clock, C: Camera> VirtualDevices<K, C> {
-    /// Nothing fetched yet.
+    /// Devices that have not fetched a frame yet.
     pub fn new(clock: K, camera: C) -> Self {
         Self { clock, camera, frame: Frame::empty(), ground_truth: None }
     }
 
-    /// With every frame, `read` copies its ground-truth depth, for the depth source `truth`.
+    /// Makes `read` copy the ground-truth depth of every fetched frame, for the depth source
+    /// `truth`.
     #[must_use]
     pub fn with_ground_truth(self, read: impl FnMut(&mut DepthMap) + 'static) -> Self {
         let truth = GroundTruth { read: Box::new(read), depth: DepthMap::none(0, 0) };
         Self { ground_truth: Some(truth), ..self }
     }
 
-    /// The clock.
+    /// The clock, for writing.
     pub fn clock_mut(&mut self) -> &mut K {
         &mut self.clock
     }
 
-    /// The clock, to be shut down.
+    /// Returns the clock, so that the caller can shut it down.
     pub fn into_clock(self) -> K {
         self.clock
     }
@@ -103,7 +104,8 @@ impl<K: Clock, C: Camera> Clock for VirtualDevices<K, C> {
 
 impl<K: Clock, C: Camera> Devices for VirtualDevices<K, C> {
     fn poll_frame(&mut self) -> Option<u64> {
-        // An error is no frame, and never a reason to use the previous one again.
+        // After a camera error there is no frame in this tick; the previous frame is never used
+        // again.
         let has_frame = self.camera.poll_frame(&mut self.frame).unwrap_or(false);
         if !has_frame {
             return None;

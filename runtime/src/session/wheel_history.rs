@@ -1,25 +1,28 @@
-//! The wheels' recent past: a picture is taken some milliseconds before it is looked at, and belongs to where the robot was then.
+//! The recent wheel feedback. A frame is processed some milliseconds after it was taken, and it
+//! belongs to the pose that the robot had at that time.
 
 use std::collections::VecDeque;
 
 use hal::{Pose2, Twist2, WheelFeedback, wrap_angle};
 
-/// How long they are remembered: cameras are late by less.
+/// Feedback is kept for this long; the latency of cameras is lower.
 const REMEMBERED_NS: u64 = 1_000_000_000;
-/// The wheels go on as they do for so long after their newest measurement: they are called silent soon after.
+/// Feedback is extrapolated for at most this long after the newest measurement: soon after that,
+/// the wheels count as silent.
 const AHEAD_NS: u64 = 100_000_000;
-/// No robot of this kind drives so far between two measurements, metres.
+/// A larger distance between two measurements, metres, is no motion of a robot of this kind.
 const JUMP_M: f64 = 0.5;
 
-/// The latest measurements of the wheels.
+/// The recent measurements of the wheels, oldest first.
 #[derive(Debug, Clone, Default)]
 pub struct WheelHistory {
     past: VecDeque<WheelFeedback>,
 }
 
 impl WheelHistory {
-    /// Adds a measurement. One that was overtaken by a newer one is left out. One farther away than the robot can have driven
-    /// begins the past anew: odometry was restarted, and between the two there is no way.
+    /// Adds a measurement, unless it is older than the newest one. A measurement that is farther
+    /// away than the robot can have driven replaces all earlier ones: odometry was restarted, and
+    /// poses before and after that cannot be interpolated.
     pub fn push(&mut self, wheel: WheelFeedback) {
         if let Some(last) = self.past.back() {
             if wheel.time_ns <= last.time_ns {
@@ -42,8 +45,9 @@ impl WheelHistory {
         self.past.back()
     }
 
-    /// The wheels at a time: between two measurements in proportion, after the newest as they then turned, before the oldest
-    /// the oldest. Contact is the newest, for it is news.
+    /// The wheel feedback at `time_ns`: interpolated between two measurements, extrapolated with
+    /// the newest twist after the last one, and the oldest measurement before the first one.
+    /// Contact is always that of the newest measurement, so that it is not delayed.
     #[must_use]
     pub fn at(&self, time_ns: u64) -> Option<WheelFeedback> {
         let newest = *self.past.back()?;

@@ -50,7 +50,7 @@ pub fn seeded(seed: u64) -> Pcg64Mcg {
 /// A kind of fault with a begin and an end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EventKind {
-    /// No bytes pass.
+    /// No bytes pass in either direction.
     Stall,
     /// The scanner is unplugged, and plugged in again at the end.
     Unplug,

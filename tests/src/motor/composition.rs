@@ -1,5 +1,6 @@
 //! The real safety loop and the real base driver on simulated controllers, in a square room and in
-//! virtual time: what happens between an event on the bus and the next rotation of a wheel.
+//! virtual time. Tests measure what happens between an event on the bus and the next motion of a
+//! wheel.
 
 use std::cell::{Cell, RefCell};
 use std::convert::Infallible;
@@ -102,7 +103,7 @@ pub struct Composition {
     kinematics: Kinematics,
     wheel_radius_m: f64,
     outbox: Outbox,
-    /// What the planner asks for.
+    /// The velocity that the planner asks for.
     pub plan: Twist2,
     events: RefCell<Vec<runtime::event::SafetyEvent>>,
 }
@@ -147,7 +148,8 @@ impl Composition {
         })
     }
 
-    /// The program ends without a word and is started again. Nobody has armed the new one.
+    /// Ends the program without a shutdown and starts it again. No request to arm has been given to
+    /// the new one.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -206,12 +208,12 @@ impl Composition {
         self.events.borrow_mut().extend(step.output.event);
     }
 
-    /// Steps without requests.
+    /// Runs `count` steps without requests.
     pub fn steps(&mut self, count: usize) {
         (0..count).for_each(|_| self.step(None));
     }
 
-    /// A person looks at the robot and arms it.
+    /// Arms the robot, as a person does after inspecting it.
     pub fn person_arms(&mut self) {
         self.step(Some(Request::ClearFault));
         self.steps(3);
@@ -258,7 +260,7 @@ impl Composition {
         self.control.base()
     }
 
-    /// The events so far; they are returned once.
+    /// Returns the events since the last call.
     #[must_use]
     pub fn take_events(&self) -> Vec<runtime::event::SafetyEvent> {
         self.events.take()
@@ -270,7 +272,7 @@ impl Composition {
         self.clock.now_ns()
     }
 
-    /// The program ends: the motors are released and the devices closed. Returns the controllers.
+    /// Ends the program: releases the motors and closes the devices. Returns the controllers.
     pub fn end(mut self) -> [Box<dyn MotorNode>; 2] {
         self.step(Some(Request::Disarm));
         self.steps(70);
@@ -306,7 +308,7 @@ fn program(
     Ok(SafetyLoop::new(safety, base, scanner))
 }
 
-/// What is left without a program.
+/// The parts that are left without the program: the controllers and their connection to the bus.
 struct World {
     nodes: [Box<dyn MotorNode>; 2],
     motors: MemoryBus,

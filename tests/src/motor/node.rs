@@ -57,7 +57,7 @@ pub struct Watchdog {
 }
 
 impl Watchdog {
-    /// Restarts the time-out.
+    /// Records a command, which restarts the time-out.
     pub fn feed(&mut self, now_ns: u64) {
         self.fed_ns = now_ns;
     }

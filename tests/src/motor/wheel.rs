@@ -62,7 +62,7 @@ impl Wheel {
             Drive::Brake => (0.0, self.lag_s),
             Drive::Coast => (0.0, self.coast_s),
         };
-        // Exact for a constant target.
+        // This step is exact for a constant target.
         let left = (-seconds / lag_s).exp();
         let before = self.velocity_radps;
         self.velocity_radps = if self.blocked { 0.0 } else { target + (before - target) * left };

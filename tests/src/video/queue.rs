@@ -35,7 +35,7 @@ pub struct Queue {
     misuses: u64,
 }
 
-/// Limit of videobuf2.
+/// Largest number of buffers in videobuf2.
 const MAX_BUFFERS: u32 = 32;
 
 impl Queue {

@@ -28,7 +28,7 @@ use crate::{Seconds, holds};
 pub struct VideoFaults {
     /// The socket is removed in this interval.
     pub unplugged: Option<Seconds>,
-    /// Streaming goes on without frames in this interval.
+    /// The camera streams but sends no frames in this interval.
     pub silent: Option<Seconds>,
     /// Streaming fails in this interval.
     pub failed: Option<Seconds>,
@@ -146,7 +146,8 @@ impl Camera {
         source: &mut dyn ImageSource,
         client: &OwnedFd,
     ) -> Result<(), Errno> {
-        // On a fixed grid. Frames that a stopped process has missed are not made up for.
+        // Frames are due on a fixed grid. A stopped process does not send the frames that it has
+        // missed.
         self.due_ns = (self.due_ns + self.interval_ns()).max(now_ns);
         let layout = self.device.layout;
         let info = FrameInfo {

@@ -42,8 +42,8 @@ struct State {
 }
 
 impl Home {
-    /// Places a robot with these wheels in the home. Its time begins at 0. The options say how wrong
-    /// the wheels are.
+    /// Places a robot with these wheels in the home. Its time begins at 0. The options contain the
+    /// errors of the wheels.
     ///
     /// # Errors
     /// Returns an error when the robot does not fit at its start pose.

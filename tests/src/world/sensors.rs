@@ -39,7 +39,7 @@ pub(super) struct HomeCamera {
     pub t_base_camera: Pose3,
     /// Delay between exposure and timestamp.
     pub late_ns: u64,
-    /// What makes the images harder than rendered ones: the sensor's noise.
+    /// Disturbances of the images; only the sensor's noise is simulated here.
     pub nuisances: Nuisances,
     pub rng: Pcg64Mcg,
     pub rgb: Vec<u8>,

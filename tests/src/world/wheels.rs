@@ -17,8 +17,9 @@ impl Wheels {
 
     /// The true velocity of the base while its wheels measure `measured` for `seconds`.
     ///
-    /// The simulator's odometer says what wheels measure of a true motion. Here the measurement is
-    /// given: to the first order, the true motion is less by the error that the odometer would make.
+    /// The simulator's odometer gives the measurement of a true motion. Here the measurement is
+    /// given: to the first order, the true motion is smaller by the error that the odometer would
+    /// make.
     pub fn on_floor(&mut self, measured: &Twist2, seconds: f64) -> Twist2 {
         let motion = measured.integrate(seconds);
         if seconds <= 0.0 || !motion.is_finite() {
@@ -41,7 +42,7 @@ mod tests {
     use super::*;
     use hal::Pose2;
 
-    /// Where a base ends that measures 10 m straight ahead, in steps of 2 ms.
+    /// The end pose of a base that measures 10 m straight ahead, in steps of 2 ms.
     fn after_ten_metres(noise: OdometryNoise, seed: u64) -> Pose2 {
         let mut wheels = Wheels::new(noise, seed);
         let measured = Twist2 { linear_mps: 0.5, angular_radps: 0.0 };

@@ -49,7 +49,7 @@ fn a_bus_that_goes_off_repeatedly_is_retried_with_an_increasing_delay() {
             rig.host.restart();
         }
     }
-    // In 20 s: after 0.1, 0.2, 0.4, 0.8 and 1.6 s, then every 2 s.
+    // In 20 s there are attempts after 0.1, 0.2, 0.4, 0.8 and 1.6 s, then every 2 s.
     assert!((8..=16).contains(&tries), "{tries} tries in 20 s");
     assert!(rig.base.arm().is_err());
 }

@@ -20,9 +20,9 @@ pub struct Outcome {
     /// The sequence and its disturbance.
     pub name: String,
     pub engine: String,
-    /// Of all pixels with depth.
+    /// Metrics of all pixels with depth.
     pub all: Metrics,
-    /// Of the more confident half of them.
+    /// Metrics of the more confident half of them.
     pub half: Metrics,
     /// delta1 of a constant depth, the median of the ground truth.
     pub constant: f64,

@@ -19,9 +19,9 @@ use runtime::tick::{Decision, TickInput};
 use simulator::robot::Truth;
 use simulator::{SimulatedRobot, World};
 
-/// One frame.
+/// One frame with its ground truth.
 pub struct View {
-    /// RGB8, row-major.
+    /// The image, RGB8, row-major.
     pub rgb: Vec<u8>,
     /// Ground-truth z-depth, metres; 0 where unknown.
     pub truth: Option<DepthMap>,
@@ -35,7 +35,7 @@ pub struct Sequence {
     pub name: String,
     /// Camera model of all frames.
     pub camera: CameraModel,
-    /// The frames.
+    /// The frames in the order of time.
     pub views: Vec<View>,
 }
 
@@ -121,7 +121,7 @@ pub fn simulated(
 /// A base that drives another twist than the commanded one.
 struct MovedBase<B> {
     base: B,
-    /// What it drives, if not what is commanded.
+    /// The twist that it drives instead of the command; `None` to follow the command.
     instead: Option<Twist2>,
 }
 

@@ -32,9 +32,9 @@ pub fn shared_connection(server: &Sshd) -> Vec<String> {
 /// How rsync detects changed files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Comparison {
-    /// By size and time, as `rsync -a` does by default.
+    /// rsync compares size and time, as `rsync -a` does by default.
     SizeAndTime,
-    /// By the checksum of the whole content, which both sides read: `rsync -a --checksum`.
+    /// rsync compares the checksum of the whole content, which both sides read: `rsync -a --checksum`.
     Checksum,
 }
 

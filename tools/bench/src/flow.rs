@@ -184,7 +184,7 @@ impl Pair {
             0.0,
             random.random_range(0.03..0.15),
         );
-        // About the camera's y axis, which points down.
+        // The rotation is about the camera's y axis, which points down.
         let rotation =
             nalgebra::UnitQuaternion::from_euler_angles(0.0, random.random_range(-0.05..0.05), 0.0);
         let t_first_second = step * Pose3::from_parts(nalgebra::Translation3::identity(), rotation);

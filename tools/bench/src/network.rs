@@ -80,7 +80,7 @@ fn volume(onnx_runtime: &Environment, images: &[Vec<u8>; 2]) -> anyhow::Result<R
         distance_m += 0.03;
         network.estimate(frame, &Pose3::translation(0.0, 0.0, distance_m), None).is_ok()
     };
-    // Warm-up, until there are two frames to compare with.
+    // These runs are a warm-up, until there are two frames to compare with.
     (0..20).for_each(|_| _ = step());
     Ok(Row::seconds(
         "network",

@@ -91,7 +91,7 @@ impl Unit {
 pub struct Peer {
     /// The implementation and what it computes.
     pub name: String,
-    /// In the row's unit.
+    /// The peer's median, in the row's unit.
     pub median: f64,
 }
 
@@ -100,7 +100,7 @@ pub struct Peer {
 pub struct Goal {
     /// A worse value is a defect.
     pub floor: f64,
-    /// The desired value.
+    /// The value that is desired.
     pub target: f64,
 }
 
@@ -160,13 +160,13 @@ impl Row {
         Self { goal: Some(Goal { floor, target }), ..self }
     }
 
-    /// Adds a note.
+    /// Adds a note on the conditions of the measurement.
     #[must_use]
     pub fn note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }
     }
 
-    /// By which factor our value is better than the peer's; below 1 it is worse.
+    /// The factor by which our value is better than the peer's; below 1 it is worse.
     #[must_use]
     pub fn ratio(&self) -> Option<f64> {
         let peer = self.peer.as_ref()?.median;

@@ -19,7 +19,7 @@ const VIEWS: usize = 24;
 /// Measures a furnished hall of 200,000 triangles.
 ///
 /// # Errors
-/// None.
+/// This function returns no errors.
 pub fn rows() -> anyhow::Result<Vec<Row>> {
     let scene = hall();
     let count = scene.triangles.len();

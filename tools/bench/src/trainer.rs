@@ -21,7 +21,8 @@ pub fn rows() -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     let gpu = Path::new("/dev/nvidia0").exists();
     for device in ["cpu", "cuda"].into_iter().take(if gpu { 2 } else { 1 }) {
-        // Each in its own process: the textbook implementation would otherwise reuse memory that the trainer has allocated.
+        // Each trainer runs in its own process: the textbook implementation would otherwise reuse memory that the other
+        // has allocated.
         let trainer = PeerProcess::start_trainer("trainer.py", &[device, THREADS])?;
         let textbook = PeerProcess::start_trainer("trainer.py", &[device, THREADS])?;
         if let (Some(mut trainer), Some(mut textbook)) = (trainer, textbook) {

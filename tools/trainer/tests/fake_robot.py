@@ -49,7 +49,7 @@ def explore(options: argparse.Namespace) -> None:
 
 
 def wheels(frames: Frames) -> list[dict[str, float]]:
-    """Poses of the base; the camera looks ahead from 0.1 m in front of its centre."""
+    """Poses of the base; the camera points ahead from 0.1 m in front of its centre."""
     found = []
     for pose in frames.t_world_camera:
         yaw = -np.arctan2(pose[0, 2], pose[2, 2])

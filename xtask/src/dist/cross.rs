@@ -15,7 +15,7 @@ const PACKAGES: [&str; 6] = [
     "libstd-rust-web-dev:arm64",
     "gcc-aarch64-linux-gnu",
     "libc6-dev-arm64-cross",
-    // For the trial of the package.
+    // The emulator for the trial of the package.
     "qemu-user-static",
 ];
 /// Debian's cargo, because `cargo` on the path is usually that of rustup.
@@ -42,7 +42,7 @@ pub fn build(arch: Arch) -> Result<PathBuf> {
         "--target",
         "aarch64-unknown-linux-gnu",
     ]);
-    // A target directory of its own, because this compiler differs from that of all other builds.
+    // The build has a target directory of its own, because this compiler differs from that of all other builds.
     cargo.arg("--target-dir").arg(paths::target().join("cross"));
     // The environment of this chore is that of another toolchain.
     for variable in ["CARGO", "RUSTUP_TOOLCHAIN", "RUSTC_WRAPPER"] {

@@ -23,7 +23,7 @@ pub enum Arch {
 }
 
 impl Arch {
-    /// This computer's architecture.
+    /// The architecture of this computer.
     pub fn of_this_computer() -> Self {
         if Self::Arm.is_this_computers() { Self::Arm } else { Self::X86 }
     }

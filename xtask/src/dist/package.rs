@@ -170,7 +170,7 @@ fn pack(arch: Arch, root: &Path, folder: &Path) -> Result<PathBuf> {
     if let Ok(time) = output(command::program("git").args(["log", "-1", "--format=%ct"])) {
         dpkg.env("SOURCE_DATE_EPOCH", time.trim());
     }
-    // Debian's default compression. Ubuntu's dpkg-deb has another default, which Debian 11 cannot read.
+    // This is Debian's default compression. Ubuntu's dpkg-deb has another default, which Debian 11 cannot read.
     dpkg.args(["--root-owner-group", "-Zxz", "--build"]).arg(root).arg(&package);
     command::run(dpkg.stdout(Stdio::null()))?;
     Ok(package)

@@ -90,7 +90,7 @@ pub fn run(machine: &Machine<'_>, programs: &[(&str, String)]) -> Result<Vec<Row
     let folder = prepare(machine, programs)?;
     let mut report = Report::new(folder.join("output.log"))?;
     let mut end = boot(machine, &folder, &mut report)?;
-    // At most one power cut: the second boot checks what is left on the disk.
+    // There is at most one power cut: the second boot checks what is left on the disk.
     if matches!(end, End::PowerCut) {
         println!("  power cut; booting again");
         std::fs::write(folder.join("after_power_cut"), "")?;
@@ -198,7 +198,7 @@ fn qemu(machine: &Machine<'_>, folder: &Path) -> Result<Child> {
         kernel = kernel.display(),
     );
     match machine.icount {
-        // One processor in virtual time, because booting hangs with two.
+        // Virtual time uses one processor, because booting hangs with two.
         Some(shift) => {
             write!(line, " -smp 1 -accel tcg,thread=single -icount shift={shift},sleep=off")?;
         }
@@ -220,7 +220,7 @@ fn qemu(machine: &Machine<'_>, folder: &Path) -> Result<Child> {
 /// How the time of a machine is limited.
 struct Clock {
     start: Instant,
-    /// By the processor time of its process, in virtual time.
+    /// The process by whose processor time the machine is limited, in virtual time.
     process: Option<u32>,
 }
 

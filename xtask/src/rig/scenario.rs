@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::paths;
 
-/// One scenario.
+/// One scenario and its requirements.
 #[derive(Debug, Clone)]
 pub struct Scenario {
     pub name: String,

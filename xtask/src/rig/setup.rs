@@ -42,7 +42,7 @@ pub fn folder(kernel: Kernel) -> PathBuf {
     paths::target().join("rig").join(kernel.name())
 }
 
-/// Installs whatever is missing.
+/// Installs everything that is missing.
 ///
 /// # Errors
 /// When this computer does not run Debian 12, or packages cannot be installed.
@@ -66,7 +66,7 @@ pub fn install() -> Result<()> {
         println!("fetching the kernel `{}`", kernel.name());
         fetch(kernel)?;
     }
-    // Created every time, because it contains the project's init.
+    // The file system is created every time, because it contains the project's init.
     Kernel::ALL.into_iter().try_for_each(first_root)
 }
 
@@ -97,8 +97,8 @@ fn fetch(kernel: Kernel) -> Result<()> {
     std::fs::remove_file(&archive)?;
     let image = find(&folder.join("boot"), |name| name.starts_with("vmlinuz-"))?;
     command::run(command::program("depmod").arg("-b").arg(&folder).arg(version(kernel)?))?;
-    // Unpacked here, because the guest would take 5 s to do so. Written last, so that it exists only if the kernel is
-    // complete.
+    // The kernel is unpacked here, because the guest would take 5 s to do so. It is written last, so that it exists
+    // only if all of its files are complete.
     let unpacked = unpack(&std::fs::read(&image)?)?;
     Ok(std::fs::write(folder.join("vmlinux"), unpacked)?)
 }

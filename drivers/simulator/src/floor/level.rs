@@ -60,8 +60,8 @@ pub fn find_floor(scene: &Scene, footprint: &Footprint) -> Result<f64, String> {
     })
 }
 
-/// For every height bin: area-weighted height and area seen from above, of surfaces within 25
-/// degrees of level.
+/// Computes for every height bin the area-weighted height and the area seen from above of the
+/// surfaces within 25 degrees of level.
 fn level_surfaces(triangles: &[Corners], region_m2: f64) -> BTreeMap<i64, (f64, f64)> {
     let mut bins = BTreeMap::<i64, (f64, f64)>::new();
     for triangle in triangles {

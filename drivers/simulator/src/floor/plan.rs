@@ -20,7 +20,7 @@ use crate::scene::Scene;
 /// 1.4 m, and depth is not exact.
 const SURFACES_M: f64 = 1.5;
 
-/// Where the search for the nearest surface begins, metres.
+/// Initial radius of the search for the nearest surface, metres.
 const FIRST_REACH_M: f64 = 0.1;
 
 /// Free space of a world whose floor is at z = 0.

@@ -138,7 +138,7 @@ pub(super) fn nearest_point(corners: &[[f64; 2]], point: [f64; 2]) -> [f64; 2] {
             (nearest, nearest_2) = (foot, distance_2);
         }
     }
-    // On the same side of every edge of something with area: inside.
+    // A point on the same side of every edge of a polygon with area is inside.
     if on_left != on_right { point } else { nearest }
 }
 

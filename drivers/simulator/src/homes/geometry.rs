@@ -87,13 +87,13 @@ impl Rect {
 /// One of a room's four walls, counter-clockwise seen from above.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
-    /// At the smallest y.
+    /// The wall at the smallest y.
     South,
-    /// At the largest x.
+    /// The wall at the largest x.
     East,
-    /// At the largest y.
+    /// The wall at the largest y.
     North,
-    /// At the smallest x.
+    /// The wall at the smallest x.
     West,
 }
 

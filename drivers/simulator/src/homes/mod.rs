@@ -98,19 +98,19 @@ impl HomeOptions {
 pub enum RoomKind {
     /// Sofas, television, dining table.
     Living,
-    /// Counters, cupboards, fridge.
+    /// A room with counters, cupboards and a fridge.
     Kitchen,
-    /// Bed and wardrobe.
+    /// A room with a bed and a wardrobe.
     Bedroom,
     /// Bath tub or shower, toilet, basin.
     Bath,
     /// Desk and shelves; in an office, a room for one or two.
     Study,
-    /// Connects other rooms.
+    /// A room that connects other rooms.
     Corridor,
-    /// Islands of desks.
+    /// An office hall with islands of desks.
     OpenPlan,
-    /// One large table.
+    /// A room with one large table.
     Meeting,
 }
 
@@ -159,11 +159,11 @@ pub enum Surface {
     Ceiling,
     /// A wall's face towards a room.
     Wall,
-    /// Doors, windows, skirting.
+    /// Door leaves and frames, windows and skirtings.
     Opening,
     /// Pictures, switches, radiators and lamps, which stay when furniture moves.
     Fixture,
-    /// Movable furniture.
+    /// Furniture, which `moved` places elsewhere.
     Furniture,
     /// The outer faces of outer walls.
     Outside,

@@ -1,4 +1,4 @@
-//! Texture decoding.
+//! Decodes the image files of textures.
 
 use std::path::Path;
 

@@ -43,7 +43,7 @@ pub struct OdometryNoise {
 }
 
 impl OdometryNoise {
-    /// Odometry without error.
+    /// Odometry without any error.
     pub const NONE: Self = Self {
         translation: 0.0,
         rotation: 0.0,
@@ -152,7 +152,7 @@ impl Odometer {
         } else {
             0.0
         };
-        // Unequal wheels bend a path the other way when it is driven backwards.
+        // Unequal wheels bend a path to the other side when it is driven backwards.
         let forward_m = length.copysign(t_before_after.x_m);
         let yaw = rotation * self.rotation_factor
             + self.noise.rotation * skid * rotation.abs().sqrt()
@@ -167,7 +167,7 @@ impl Odometer {
         self.t_odom_base = self.t_odom_base.compose(&measured);
     }
 
-    /// Measured pose `t_odom_base`.
+    /// The measured pose `t_odom_base`.
     #[must_use]
     pub fn pose(&self) -> Pose2 {
         self.t_odom_base

@@ -1,4 +1,4 @@
-//! Slip events: for a short way, one wheel reports more than it rolled.
+//! Slip events: over a short distance, one wheel reports more travel than it rolled.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -8,15 +8,15 @@ use super::TRACK_M;
 /// Travel at the rim over which one slip is spread, metres: half a second at an ordinary speed.
 const SLIP_TRAVEL_M: f64 = 0.2;
 
-/// What wheels measure too much.
+/// The excess that the wheels report in one motion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Excess {
     pub forward_m: f64,
     pub yaw_rad: f64,
 }
 
-/// Draws slips at random places of the way. The places and sizes do not depend on the length of the
-/// simulation steps.
+/// Draws slips at random positions along the path. Positions and sizes do not depend on the length of the simulation
+/// steps.
 #[derive(Debug, Clone)]
 pub(super) struct Slips {
     rng: Pcg64Mcg,

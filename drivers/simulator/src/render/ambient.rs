@@ -8,7 +8,7 @@ use super::bvh::{Bvh, Corners, V3};
 use super::surface::Surface;
 use crate::scene::{Scene, Triangle, Vertex};
 
-/// Options of [`bake_ambient`].
+/// The options of [`bake_ambient`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AmbientOptions {
     /// Maximum number of rays from each sample point.

@@ -33,7 +33,7 @@ use tile::{Block, NOTHING, SIZE, View};
 #[derive(Debug)]
 pub struct Renderer {
     bvh: Bvh,
-    /// In the order of the triangles of the hierarchy.
+    /// The surfaces, in the order of the triangles of the hierarchy.
     surfaces: Vec<Surface>,
     materials: Vec<Material>,
     textures: Vec<Option<MipChain>>,

@@ -9,7 +9,7 @@ use crate::scene::{Triangle, Vertex};
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Surface {
     pub origin: V3,
-    /// Unit length.
+    /// Unit normal of the triangle.
     pub normal: V3,
     uv: [f32; 2],
     uv_gradient: [V3; 2],

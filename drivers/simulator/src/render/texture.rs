@@ -302,8 +302,8 @@ fn shrink(
     out
 }
 
-/// For each of `target` equal parts of a line of `size` texels: the texels that it covers and their
-/// fractions of it.
+/// Computes for each of `target` equal parts of a line of `size` texels the texels that it covers
+/// and their fractions of it.
 fn shares(size: usize, target: usize) -> Vec<Vec<(usize, f32)>> {
     let span = size as f32 / target as f32;
     (0..target).map(|it| covered_texels(it, span, size)).collect()

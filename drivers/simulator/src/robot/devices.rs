@@ -100,7 +100,7 @@ impl Lidar for SimLidar {
     }
 }
 
-/// The differential-drive base.
+/// The differential-drive base of the simulated robot.
 pub struct SimBase {
     shared: Shared,
 }
@@ -175,7 +175,7 @@ impl Truth {
         Self { shared }
     }
 
-    /// `t_world_base`.
+    /// True pose of the base, `t_world_base`.
     #[must_use]
     pub fn pose(&self) -> Pose2 {
         lock(&self.shared).pose

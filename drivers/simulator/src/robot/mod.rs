@@ -187,7 +187,7 @@ pub(crate) struct State {
     contact: bool,
     /// Whether the robot touched an obstacle since the last feedback.
     touched: bool,
-    /// Something was in the way since the evaluation last asked.
+    /// Whether the robot touched an obstacle since the evaluation last asked.
     touched_in_truth: bool,
     last_counter: Option<u32>,
     walkers: Vec<Walker>,
@@ -330,7 +330,7 @@ impl State {
             &people,
             &self.options.laser,
             &mut self.laser_rng,
-            // The scan before the beginning of time has no negative time.
+            // A scan that began before time 0 gets the time 0.
             u64::try_from(start_ns).unwrap_or(0),
             scan,
         );

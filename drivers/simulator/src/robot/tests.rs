@@ -162,15 +162,15 @@ fn scans_are_taken_at_most_once_per_period_and_measure_the_room() {
     assert!(!devices.lidar.poll_scan(&mut scan).unwrap());
     devices.clock.sleep_until_ns(25_000_000);
     assert!(devices.lidar.poll_scan(&mut scan).unwrap());
-    // It is the revolution that has just ended.
+    // The scan is that of the revolution that has just ended.
     assert_eq!((scan.time_ns, scan.middle_ns()), (0, 12_500_000));
-    // A scanner does not wait to be polled.
+    // The scanner measures whether it is polled or not.
     devices.clock.sleep_until_ns(80_000_000);
     assert!(devices.lidar.poll_scan(&mut scan).unwrap());
     assert_eq!(scan.time_ns, 50_000_000);
 }
 
-/// Where a beam hits, in the frame of the room, if the base was at `pose`, metres.
+/// Position at which a beam hits, in the frame of the room, if the base was at `pose`, metres.
 fn hit_m(scan: &LaserScan, beam: usize, pose: &Pose2) -> [f64; 2] {
     let range_m = f64::from(scan.ranges[beam].hit_m().unwrap());
     let (sin, cos) = scan.geometry.angle_rad(beam).sin_cos();
@@ -224,7 +224,7 @@ fn the_latency_of_a_camera_is_drawn_by_the_seed() {
     assert!(moved[0] == moved[1] && moved[0] != moved[2], "{moved:?}");
 }
 
-/// How far the wall ahead comes nearer in the frame after 0.1 s.
+/// Distance by which the wall ahead comes nearer in the frame after 0.1 s, metres.
 fn moved_m(seed: u64) -> f32 {
     let start = exact(Pose2::new(2.0, 2.0, 0.0));
     let mut devices = robot(RobotOptions { camera_latency_s: 0.05, seed, ..start });

@@ -1,4 +1,4 @@
-//! Where the robot was a moment ago: sensors take time, and the robot moves meanwhile.
+//! The recent true poses of the robot: sensors need time to measure, and the robot moves meanwhile.
 
 use std::collections::VecDeque;
 
@@ -16,7 +16,7 @@ pub(super) struct Trail {
 }
 
 impl Trail {
-    /// A robot that has stood at `start` since ever.
+    /// The trail of a robot that has always stood at `start`.
     pub fn new(now_ns: u64, start: Pose2) -> Self {
         Self { ends: VecDeque::from([(now_ns, start)]) }
     }
@@ -30,9 +30,9 @@ impl Trail {
         }
     }
 
-    /// The pose at a time, along the arc of the step in which it lies. Before the first known time
-    /// the robot stands. After the last it goes on as in the last step: exposures end after their
-    /// middle.
+    /// The pose at a time, along the arc of the step in which it lies. Before the first known time the robot stands.
+    /// After the last known time it continues with the motion of the last step, because the exposure of a frame ends
+    /// later than its middle.
     pub fn at(&self, time_ns: i64) -> Pose2 {
         let after = self.ends.partition_point(|(then_ns, _)| (*then_ns as i64) < time_ns);
         let last = self.ends.len() - 1;

@@ -99,17 +99,17 @@ pub struct DifferentialBase<B, C = MonotonicClock> {
     wheels_mps: Wheels,
     tick_ns: u64,
     ticks: u64,
-    // Measurements and inputs.
+    // The measurements and inputs.
     position_m: Option<Wheels>,
     feedback_ns: u64,
     returned_ns: u64,
     twist: Twist2,
     polled_ns: u64,
-    /// When the loop called again after a pause that was longer than the watchdog time.
+    /// Time at which the loop called again after a pause that was longer than the watchdog time.
     resumed_ns: u64,
     started_ns: u64,
-    /// When a frame of any kind last arrived from each motor, and when silent motors were last set up
-    /// again.
+    /// Times at which a frame of any kind last arrived from each motor, and at which silent motors
+    /// were last set up again.
     heard_ns: [u64; 2],
     set_up_ns: u64,
     estop: bool,

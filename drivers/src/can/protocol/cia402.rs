@@ -6,9 +6,8 @@
 //! by the same tick as the velocities, so it cannot outlive the commands.
 //!
 //! Frames of one tick: the host's heartbeat (sent by one motor for all, once its watchdog is
-//! confirmed), RPDO1 with controlword and
-//! target velocity, SYNC (also sent by one motor), and in response to it the drive's TPDO1
-//! (statusword, velocity) and TPDO2 (position).
+//! confirmed), RPDO1 with controlword and target velocity, SYNC (also sent by one motor), and in
+//! response to it the drive's TPDO1 (statusword, velocity) and TPDO2 (position).
 
 use std::f64::consts::TAU;
 
@@ -117,7 +116,7 @@ fn script(node: &Cia402Node) -> [Entry; ENTRIES] {
         Entry::u8(0x1a01, 0, 1),
         Entry::u8(0x1801, 2, 1),
         Entry::u32(0x1801, 1, u32::from(TPDO2) + id),
-        // Profile velocity mode.
+        // Selects profile velocity mode.
         Entry::u8(0x6060, 0, 3),
         // When the host's heartbeat is missing: a fault (0x6007), and on a fault the quick-stop
         // ramp (0x605E), never coasting.
@@ -346,8 +345,8 @@ impl MotorProtocol for Cia402 {
     }
 
     fn tick(&mut self, now_ns: u64, out: &mut Outbox) {
-        // Not before the drive's watchdog is confirmed: a drive that still follows the last command of
-        // a program that ended must miss the heartbeat.
+        // The heartbeat is not sent before the drive's watchdog is confirmed: a drive that still
+        // follows the last command of a program that ended must miss the heartbeat.
         if self.node.leads && self.status.watchdog_ms.is_some() {
             let id = HEARTBEAT + u16::from(self.node.host);
             put(out, [CanFrame::standard_short(id, [OPERATIONAL, 0, 0, 0, 0, 0, 0, 0], 1)]);
@@ -407,7 +406,7 @@ impl MotorProtocol for Cia402 {
     }
 
     fn finish(&mut self, out: &mut Outbox) {
-        // Without this, the end of the host's heartbeat is a fault.
+        // Without this request, the end of the host's heartbeat would be a fault of the drive.
         put(out, [Entry::u32(0x1016, 1, 0).download(self.node.node)]);
     }
 

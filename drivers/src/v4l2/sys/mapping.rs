@@ -46,7 +46,7 @@ impl Buffers {
         Ok(())
     }
 
-    /// Unmaps every buffer.
+    /// Unmaps every buffer, lent ones as well.
     pub fn clear(&mut self) {
         self.0.clear();
     }
@@ -81,7 +81,7 @@ impl Buffers {
     }
 }
 
-/// A read-only mapping.
+/// A read-only memory mapping.
 #[derive(Debug)]
 struct Mapping {
     start: *const u8,

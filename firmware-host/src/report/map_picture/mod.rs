@@ -26,9 +26,9 @@ pub(super) const PAGE: Rgb = [255, 255, 255];
 pub(super) const UNKNOWN: Rgb = [222, 226, 230];
 pub(super) const FREE: Rgb = [252, 252, 250];
 pub(super) const OCCUPIED: Rgb = [52, 58, 70];
-/// Occupied cells far from anything real.
+/// Colour of occupied cells that are far from any true obstacle.
 const OFF: Rgb = [222, 72, 60];
-/// True obstacles that are not in the map.
+/// Colour of true obstacles that are not in the map.
 const MISSED: Rgb = [158, 198, 232];
 const PLAN: Rgb = [70, 130, 180];
 const BELIEVED: Rgb = [0, 150, 60];
@@ -39,7 +39,7 @@ const START: Rgb = [46, 140, 70];
 pub(super) const END: Rgb = [239, 108, 0];
 const TRIP: Rgb = [205, 30, 45];
 const GOAL: Rgb = [0, 137, 150];
-/// Goals that were seen before they were reached.
+/// Colour of goals that were resolved before the robot reached them.
 const SEEN: Rgb = [110, 190, 200];
 
 /// An occupied cell whose distance to the nearest true obstacle is larger is drawn as wrong, metres.
@@ -50,7 +50,7 @@ const WALL_LINE_M: f32 = 0.02;
 /// A grid of square cells. Row 0 has the lowest y, column 0 the lowest x.
 #[derive(Debug, Clone, Copy)]
 pub struct Cells<'a, T> {
-    /// Number of columns.
+    /// Number of columns of the grid.
     pub width: usize,
     /// Row-major; the length must be a multiple of `width`.
     pub cells: &'a [T],
@@ -99,7 +99,7 @@ impl<T: Copy> Cells<'_, T> {
     }
 }
 
-/// What is known of the true home. Positions are in the frame of the map, in metres.
+/// Ground truth about the home. Positions are in the frame of the map, in metres.
 #[derive(Debug, Clone, Copy)]
 pub struct TrueHome<'a> {
     pub reachable: Cells<'a, bool>,
@@ -109,15 +109,15 @@ pub struct TrueHome<'a> {
     pub trajectory: &'a [Pose2],
 }
 
-/// What became of a goal.
+/// The outcome of a goal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GoalFate {
-    /// The robot is on its way.
+    /// The robot is driving to the goal.
     Open,
     Reached,
-    /// What made it worth going there was seen on the way.
+    /// The frontier or inconsistency was resolved before the robot reached the goal.
     Seen,
-    /// The robot gave it up.
+    /// The robot gave up the goal.
     Dropped,
 }
 

@@ -61,7 +61,7 @@ pub enum FlowError {
     Setting {
         field: &'static str,
         value: usize,
-        /// The allowed values.
+        /// The values that are allowed.
         allowed: &'static str,
     },
     /// An image or a flow field has another size than the engine was made for.
@@ -69,7 +69,7 @@ pub enum FlowError {
         "flow: {what} is {width}x{height}, {want_width}x{want_height} is needed; resample it, or make a DenseFlow of its size"
     )]
     Size {
-        /// The image or the flow field.
+        /// Which of the images or flow fields it is.
         what: &'static str,
         width: usize,
         height: usize,
@@ -81,7 +81,7 @@ pub enum FlowError {
     /// The engine cannot read the format of an image.
     #[error("flow: {what} is a {format:?} image; convert it to RGB8 or GRAY8")]
     Format {
-        /// Which image.
+        /// Which of the images it is.
         what: &'static str,
         format: hal::PixelFormat,
     },

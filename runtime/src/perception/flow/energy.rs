@@ -93,7 +93,8 @@ pub fn normalise(
     }
 }
 
-/// Strength of the link between a pixel and its next ones: `u` and `v` are each the flow here, to the right and below.
+/// Smoothness weights between a pixel and its neighbours to the right and below; `u` and `v` each hold the flow of
+/// these three pixels.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn bind(u: [&[f32]; 3], v: [&[f32]; 3], out: &mut [f32]) {
     let n = out.len();
@@ -141,7 +142,7 @@ pub fn assemble(
     }
 }
 
-/// From the data terms' diagonal to the inverse of the whole diagonal.
+/// Converts the data terms' diagonal to the inverse of the whole diagonal.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn invert(links: [&[f32]; 4], diagonal: &mut [f32]) {
     let n = diagonal.len();

@@ -41,7 +41,7 @@ impl FlowField {
         &self.flow_px
     }
 
-    /// The same, writable.
+    /// Row-major (x, y) displacements, pixels, for writing.
     #[must_use]
     pub fn values_mut(&mut self) -> &mut [[f32; 2]] {
         &mut self.flow_px

@@ -40,7 +40,7 @@ pub struct DenseFlow {
     height: usize,
     from: Pyramid,
     to: Pyramid,
-    /// From the finest scale that is searched to the coarsest.
+    /// The scales, from the finest that is searched to the coarsest.
     scales: Vec<Scale>,
     /// One row of scratch memory for each band of `upsample`.
     rows: Vec<Vec<[f32; 2]>>,
@@ -96,7 +96,7 @@ impl DenseFlow {
         })
     }
 
-    /// For every pixel of `from`, its displacement to `to`. Always finite.
+    /// Computes for every pixel of `from` its displacement to `to`, pixels. The result is always finite.
     ///
     /// # Errors
     /// Images of another size than this was made for, or images that are neither RGB8 nor GRAY8.

@@ -26,7 +26,7 @@ impl Plane {
         &self.data[self.start(y)..][..self.width]
     }
 
-    /// The same, writable.
+    /// Row `y` without its border, for writing.
     pub fn row_mut(&mut self, y: usize) -> &mut [f32] {
         let start = self.start(y);
         &mut self.data[start..][..self.width]

@@ -201,7 +201,7 @@ fn descend(input: SearchInput<'_>, at: (usize, usize), candidates: &[[f32; 2]]) 
 #[derive(Clone, Copy)]
 struct Compared {
     found: Found,
-    /// To be subtracted from the flow.
+    /// The step, which is subtracted from the flow.
     step: [f32; 2],
 }
 

@@ -29,7 +29,7 @@ impl Split {
         &self.data[(y + 1) * stride..][..stride]
     }
 
-    /// The same, writable.
+    /// The whole split row `y`, with its padding, for writing.
     pub fn row_mut(&mut self, y: usize) -> &mut [f32] {
         let stride = stride(self.width);
         &mut self.data[(y + 1) * stride..][..stride]

@@ -18,7 +18,7 @@ use super::options::{NetworkOptions, session_builder};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Float {
     Single,
-    /// IEEE 754 binary16.
+    /// 16-bit floats, IEEE 754 binary16.
     Half,
 }
 

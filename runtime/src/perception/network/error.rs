@@ -58,7 +58,7 @@ pub enum NetworkError {
     /// An input or output has another type or shape than it must have.
     #[error("the model's {role} is {found}, needed: {needed}")]
     Tensor {
-        /// `input` or `output`.
+        /// Role of the tensor: `input` or `output`.
         role: &'static str,
         found: String,
         needed: String,

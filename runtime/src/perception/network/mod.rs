@@ -52,7 +52,7 @@ pub struct DepthNetwork {
     spec: ModelSpec,
     digest: String,
     session: BoundSession,
-    /// For models with a cost volume as input.
+    /// The cost volume, for models with one as input.
     volume: Option<CostVolume>,
     golden: Option<Golden>,
     estimate: DepthEstimate,

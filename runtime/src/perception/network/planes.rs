@@ -9,7 +9,7 @@ use crate::perception::DepthEstimate;
 
 /// Tolerance for rounding at the ends of an output's range, relative to the range, with 32 bits.
 const ROUNDING: f32 = 1e-4;
-/// The same with the 11 significant bits of a 16-bit float.
+/// Tolerance for rounding with the 11 significant bits of a 16-bit float, relative to the range.
 const ROUNDING_HALF: f32 = 1e-3;
 /// Confidence of a network without an uncertainty output. The paper's robot maps every pixel alike.
 const DEFAULT_CONFIDENCE: f32 = 1.0;

@@ -25,7 +25,7 @@ pub enum InputKind {
     Rgb,
     /// Like `Rgb`, with a second input of coarse disparity, validity and confidence in 0..1: `[1, 3, height, width]`.
     RgbAndCoarse,
-    /// Both in one input: `[1, 6, height, width]`.
+    /// The image and the coarse planes in one input: `[1, 6, height, width]`.
     RgbCoarseJoined,
     /// Like `Rgb`, with the cost volume as a second input: `[1, planes, height / 4, width / 4]`.
     RgbAndVolume {
@@ -56,10 +56,10 @@ impl InputKind {
 /// The meaning of the first channel of the output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OutputKind {
-    /// z-depth in metres.
+    /// The channel is z-depth in metres.
     Depth,
-    /// x in 0..1 with disparity = 1/max + (1/min - 1/max) x and depth = 1/disparity (Godard et al. 2019, Monodepth2, section
-    /// 3).
+    /// The channel is x in 0..1 with disparity = 1/max + (1/min - 1/max) x and depth = 1/disparity (Godard et al. 2019,
+    /// Monodepth2, section 3).
     Disparity,
 }
 

@@ -43,7 +43,7 @@ struct SmallImage {
 
 #[derive(Debug, Clone)]
 struct Keyframe {
-    /// `t_odom_camera`.
+    /// Pose of the frame, `t_odom_camera`.
     pose: Pose3,
     image: SmallImage,
 }
@@ -55,7 +55,7 @@ pub(super) struct CostVolume {
     camera: CameraModel,
     inverse_depth: Vec<f32>,
     image: SmallImage,
-    /// Oldest first.
+    /// The keyframes, oldest first.
     keyframes: Vec<Keyframe>,
     spare: Vec<SmallImage>,
     largest: Vec<f32>,
@@ -168,7 +168,7 @@ fn shrink(rgb: &[u8], width: usize, small: &mut SmallImage) {
     small.brightness = total as f32 * SCALE / (3 * small.pixels.len()) as f32;
 }
 
-/// Selects the keyframes whose baseline comes nearest to [`BASELINE_M`]; of equals the newest.
+/// Selects the keyframes whose baseline comes nearest to [`BASELINE_M`]; of equally good ones, the newest.
 fn choose(keyframes: &[Keyframe], pose: &Pose3) -> [Option<usize>; REFERENCES] {
     let mut best = [(f64::INFINITY, None); REFERENCES];
     for (index, keyframe) in keyframes.iter().enumerate().rev() {

@@ -26,7 +26,7 @@ pub enum Stand {
     Wall,
     /// Back to a wall, in a corner.
     Corner,
-    /// Away from walls.
+    /// A position away from walls.
     Middle,
 }
 

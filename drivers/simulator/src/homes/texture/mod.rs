@@ -49,13 +49,13 @@ pub enum Skin {
     Spines,
     /// Leaves of a plant.
     Leaf,
-    /// A painting.
+    /// A painting that hangs on a wall.
     Painting(u8),
     /// The view through a window.
     View(u8),
     /// A rug with a border.
     Rug(u8),
-    /// A computer's screen.
+    /// The content of a computer's screen.
     Screen(u8),
 }
 

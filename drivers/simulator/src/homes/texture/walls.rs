@@ -15,7 +15,7 @@ const CEILING_RMS: f32 = 18.0;
 const MOTIF: f32 = 60.0;
 /// Rows and columns of wallpaper motifs.
 const ROWS: usize = 10;
-/// Contrast between bricks.
+/// Scale of the brightness variations within and between bricks, of 255.
 const BRICK_RMS: f32 = 26.0;
 
 /// Variations at every scale, the marks of a roller, and a few stains and scuffs.

@@ -20,7 +20,7 @@ const CLEAR_ALPHA: f32 = 0.5;
 /// Materials of the document that triangles use.
 pub(super) struct Materials<'a> {
     file: &'a File,
-    /// By index in the document; `None` is glTF's default material.
+    /// The materials that were read, by index in the document; `None` is glTF's default material.
     surfaces: BTreeMap<Option<usize>, Surface>,
     /// Scene texture of every image that was read, by its index in the document.
     textures: BTreeMap<usize, u32>,
