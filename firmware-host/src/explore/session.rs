@@ -201,7 +201,7 @@ impl Exploration {
         let wall_s = log.began.elapsed().as_secs_f64();
         #[cfg(feature = "rerun")]
         if let Some(counts) = log.stream.map(crate::rerun_stream::RerunStream::finish) {
-            println!("Rerun: {} turns shown, {} dropped.", counts.sent, counts.dropped);
+            println!("Rerun: {} ticks shown, {} dropped.", counts.sent, counts.dropped);
         }
         if let Some(dump) = &log.dump {
             dump.write_index()?;
@@ -251,7 +251,7 @@ impl Exploration {
         }
         map_plot::write(&summary, robot.map(), &log.evaluation, &log.world.floor_plan(), &out)?;
         println!(
-            "Look at {0}/map.png and {0}/depth.png; numbers are in {0}/summary.json.",
+            "See {0}/map.png and {0}/depth.png; numbers are in {0}/summary.json.",
             out.display()
         );
         if summary.recording_mib.is_some() {

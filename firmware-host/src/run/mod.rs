@@ -222,7 +222,7 @@ fn report(
     summary.write(out)?;
     println!("{}", crate::report::table::render(&summary));
     draw_map(out, robot, &log.trajectory, &log.trips_m)?;
-    println!("Look at {0}/map.png; numbers are in {0}/summary.json.", out.display());
+    println!("See {0}/map.png; numbers are in {0}/summary.json.", out.display());
     Ok(())
 }
 

@@ -1,6 +1,7 @@
 //! Coarse depth: multi-view matching of frames whose relative poses are known.
 
 use hal::{CameraModel, Distortion, ImageView, Pose3};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::aggregate::{PathRows, Volume};
@@ -12,7 +13,7 @@ use super::fusion::{CELLS_AT_ONCE, Memory};
 use super::keyframes::{Keyframes, Requirements};
 use super::motion_mask::MotionMask;
 use super::refine::{Corners, refine_rotation};
-use super::rotation_filter::{DepthPrior, FlowObservation, RotationFilter};
+use super::rotation_filter::{DepthPrior, FlowObservation, RotationFilter, YawError};
 use super::subpixel::refine_votes;
 use super::surround::{Surround, Surroundings};
 use super::sweep::{CELL, FAR, MAX_REFERENCES, PLANES, Reference, hypotheses, sweep};
