@@ -10,12 +10,14 @@ mod data_loop;
 mod demo;
 mod dist;
 mod docs;
+mod explore;
 mod fuzz;
 mod licences;
 mod localization;
 mod models;
 mod mutants;
 mod nextest;
+mod odometry;
 mod onnx_runtime;
 mod paths;
 mod peers;
@@ -85,6 +87,22 @@ enum Chore {
         #[arg(long, default_value_t = 2)]
         seeds: u64,
         /// Write the table to docs/data/policies.json and docs/policies.md.
+        #[arg(long)]
+        update: bool,
+    },
+    /// Explore homes with the errors of real odometry, with wheels alone and without errors, and print a table. Takes an hour on
+    /// two cores.
+    Odometry {
+        /// Number of camera frames of each run.
+        #[arg(long, default_value_t = 1500)]
+        frames: u64,
+        /// Number of seeds of each home.
+        #[arg(long, default_value_t = 2)]
+        seeds: u64,
+        /// Further scene files, beside the built-in homes.
+        #[arg(long)]
+        scene: Vec<String>,
+        /// Write the table to docs/data/odometry.json and docs/accuracy.md.
         #[arg(long)]
         update: bool,
     },
@@ -160,6 +178,9 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Localization { update } => localization::run(*update),
         Chore::Policies { frames, seeds, update } => policies::run(*frames, *seeds, *update),
+        Chore::Odometry { frames, seeds, scene, update } => {
+            odometry::run(*frames, *seeds, scene, *update)
+        }
         Chore::Quality { update } => quality::build_and_run(*update),
         Chore::Docs => docs::run(),
         Chore::Models => models::run(),

@@ -1,12 +1,10 @@
 //! `cargo xtask policies`: explores the built-in homes with every policy and prints a table.
 
-use std::path::Path;
-
-use anyhow::{Context, Result, ensure};
+use anyhow::Result;
 use serde_json::Value;
 
 use crate::tables::{self, Table};
-use crate::{command, paths};
+use crate::{explore, paths};
 
 const HOMES: [&str; 3] = ["apartment", "house", "office"];
 const POLICIES: [&str; 6] =
@@ -25,13 +23,16 @@ const COLUMNS: [&str; 8] = [
 /// Explores each home with each policy and each seed. Runs that an earlier call has finished are not repeated. With `update`,
 /// the table goes into docs/data/policies.json and docs/policies.md.
 pub fn run(frames: u64, seeds: u64, update: bool) -> Result<()> {
-    let build = ["build", "--release", "--locked", "--package", "firmware-host"];
-    command::run(command::cargo().args(build))?;
+    explore::build()?;
     let mut table = Table::new(&COLUMNS);
     for home in HOMES {
         for seed in 1..=seeds {
             for policy in POLICIES {
-                let summary = explore(home, seed, policy, frames)?;
+                let out = paths::target().join(format!("policies/{frames}/{home}-{seed}-{policy}"));
+                let scene = format!("builtin:{home}?seed={seed}");
+                let arguments = ["--scene", &scene, "--policy", policy];
+                let length = ["--frames", &frames.to_string(), "--seed", &seed.to_string()];
+                let summary = explore::explore(&[arguments, length].concat(), &out)?;
                 let mut cells = vec![home.to_owned(), seed.to_string(), policy.to_owned()];
                 cells.extend(results(&summary));
                 table.push(cells);
@@ -44,26 +45,6 @@ pub fn run(frames: u64, seeds: u64, update: bool) -> Result<()> {
         let made_by = format!("cargo xtask policies --frames {frames} --seeds {seeds} --update");
         tables::update("policies", "policies", &made_by, &table)?;
     }
-    Ok(())
-}
-
-fn explore(home: &str, seed: u64, policy: &str, frames: u64) -> Result<Value> {
-    let out = paths::target().join(format!("policies/{frames}/{home}-{seed}-{policy}"));
-    let summary = out.join("summary.json");
-    if !summary.exists() {
-        run_robot(&format!("builtin:{home}?seed={seed}"), seed, policy, frames, &out)?;
-    }
-    let text = std::fs::read_to_string(&summary).with_context(|| summary.display().to_string())?;
-    serde_json::from_str(&text).with_context(|| summary.display().to_string())
-}
-
-fn run_robot(scene: &str, seed: u64, policy: &str, frames: u64, out: &Path) -> Result<()> {
-    let mut explore = command::program(paths::target().join("release/firmware-host"));
-    explore.args(["explore", "--no-recording", "--scene", scene, "--policy", policy]);
-    explore.args(["--frames", &frames.to_string(), "--seed", &seed.to_string()]);
-    let output = explore.arg("--out").arg(out).output();
-    let output = output.with_context(|| command::text(&explore))?;
-    ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Ok(())
 }
 

@@ -1,0 +1,157 @@
+//! `cargo xtask odometry`: what the errors of odometry cost, and what localization gains.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use serde_json::Value;
+
+use crate::explore;
+use crate::paths;
+use crate::tables::{self, Table};
+
+const HOMES: [&str; 3] = ["apartment", "house", "office"];
+const COLUMNS: [&str; 11] = [
+    "home",
+    "seed",
+    "poses",
+    "delta1 unscaled, all / confident half",
+    "right of all pixels",
+    "constant",
+    "coverage, at its true place",
+    "map error p50 / p90 (cm)",
+    "off by 10 cm",
+    "heading at the end (deg)",
+    "collisions",
+];
+/// What the poses come from.
+const POSES: [&str; 3] = ["wheels and scans", "wheels alone", "error-free"];
+
+/// Explores each home with each source of poses and each seed. Runs that an earlier call has finished are not repeated. With
+/// `update`, the table goes into docs/data/odometry.json and docs/accuracy.md.
+///
+/// # Errors
+/// When a run fails, or a file cannot be written.
+pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<()> {
+    explore::build()?;
+    let dir = paths::target().join(format!("odometry/{frames}"));
+    let wheels = wheels_alone(&dir)?;
+    let mut table = Table::new(&COLUMNS);
+    let mut summaries: [Vec<Value>; 3] = Default::default();
+    for seed in 1..=seeds {
+        let builtin = HOMES.map(|home| (home.to_owned(), format!("builtin:{home}?seed={seed}")));
+        let files = scenes.iter().map(|file| (name(file), file.clone()));
+        for (home, scene) in builtin.into_iter().chain(files) {
+            for (index, poses) in POSES.into_iter().enumerate() {
+                let out = dir.join(format!("{home}-{seed}-{index}"));
+                let length = [frames, seed].map(|number| number.to_string());
+                let mut arguments = vec!["--scene", &scene, "--policy", "active"];
+                arguments.extend(["--frames", &length[0], "--seed", &length[1]]);
+                match poses {
+                    "wheels alone" => arguments.extend(["--config", &wheels]),
+                    "error-free" => arguments.extend(["--odometry", "perfect"]),
+                    _ => {}
+                }
+                let summary = explore::explore(&arguments, &out)?;
+                let mut cells = vec![home.clone(), seed.to_string(), poses.to_owned()];
+                cells.extend(results(&summary));
+                table.push(cells);
+                summaries[index].push(summary);
+                eprintln!("explored {home} {seed} with {poses}");
+            }
+        }
+    }
+    for (poses, of) in POSES.into_iter().zip(&summaries) {
+        let mut cells = vec!["mean".to_owned(), String::new(), poses.to_owned()];
+        cells.extend(results(&mean(of)));
+        table.push(cells);
+    }
+    print!("{}", table.markdown());
+    if update {
+        let files: String = scenes.iter().map(|file| format!(" --scene {}", name(file))).collect();
+        let made_by =
+            format!("cargo xtask odometry --frames {frames} --seeds {seeds}{files} --update");
+        tables::update("odometry", "odometry", &made_by, &table)?;
+    }
+    Ok(())
+}
+
+/// A configuration without localization.
+fn wheels_alone(dir: &Path) -> Result<String> {
+    std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
+    let file = dir.join("wheels.toml");
+    std::fs::write(&file, "[localization]\nsource = \"wheels\"\n")
+        .with_context(|| file.display().to_string())?;
+    Ok(file.display().to_string())
+}
+
+/// A scene file's name without folders and extension.
+fn name(file: &str) -> String {
+    let path = PathBuf::from(file);
+    path.file_stem().map_or_else(|| file.to_owned(), |stem| stem.to_string_lossy().into_owned())
+}
+
+/// The cells of a run behind home, seed and poses.
+fn results(summary: &Value) -> [String; 8] {
+    let number = |path: &str| summary.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN);
+    [
+        format!(
+            "{:.3} / {:.3}",
+            number("/accuracy/coarse/all/delta1_unscaled"),
+            number("/accuracy/coarse/confident/delta1_unscaled")
+        ),
+        format!("{:.3}", number("/accuracy/coarse/all/right")),
+        format!("{:.3}", number("/accuracy/constant/all/right")),
+        format!("{:.1} %", 100.0 * number("/coverage_true")),
+        format!(
+            "{:.1} / {:.1}",
+            100.0 * number("/map_error_m/p50"),
+            100.0 * number("/map_error_m/p90")
+        ),
+        format!("{:.1} %", 100.0 * number("/map_off10")),
+        format!("{:.1}", number("/pose_error/yaw_end_deg")),
+        format!("{}", number("/collisions")),
+    ]
+}
+
+/// Every number of the summaries in the mean; collisions are added up.
+fn mean(summaries: &[Value]) -> Value {
+    let Some(first) = summaries.first() else { return Value::Null };
+    let mut mean = merged(first, &summaries.iter().collect::<Vec<_>>());
+    let collisions = summaries.iter().filter_map(|summary| summary["collisions"].as_f64());
+    mean["collisions"] = collisions.sum::<f64>().into();
+    mean
+}
+
+/// `of` with each number replaced by the mean of that number in `all`.
+fn merged(of: &Value, all: &[&Value]) -> Value {
+    match of {
+        Value::Object(entries) => entries
+            .iter()
+            .map(|(key, value)| {
+                let values: Vec<&Value> = all.iter().filter_map(|one| one.get(key)).collect();
+                (key.clone(), merged(value, &values))
+            })
+            .collect(),
+        Value::Number(_) => {
+            let numbers: Vec<f64> = all.iter().filter_map(|one| one.as_f64()).collect();
+            (numbers.iter().sum::<f64>() / numbers.len() as f64).into()
+        }
+        other => other.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn numbers_are_averaged_at_any_depth_and_collisions_added() {
+        let runs = [
+            json!({ "map": { "p50": 1.0 }, "collisions": 2, "policy": "active" }),
+            json!({ "map": { "p50": 2.0 }, "collisions": 1, "policy": "active" }),
+        ];
+        let expected = json!({ "map": { "p50": 1.5 }, "collisions": 3.0, "policy": "active" });
+        assert_eq!(mean(&runs), expected);
+    }
+}
