@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use simulator::laser::{self, LaserModel};
 use simulator::nuisance::Nuisances;
 use simulator::render::{Lighting, Renderer};
-use simulator::scene::{Material, Scene, Texture, Triangle, Vertex};
+use simulator::scene::{LidarResponse, Material, Scene, Texture, Triangle, Vertex};
 
 use crate::report::{Row, time, time_against};
 
@@ -169,6 +169,7 @@ pub(crate) fn hall() -> Scene {
         texture: Some(texture),
         alpha_cutoff: None,
         emissive: [0.0; 3],
+        lidar: LidarResponse::default(),
     });
     let textures = textures.collect();
     Scene { triangles, materials: materials.collect(), textures }
