@@ -34,6 +34,7 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         goal_m: Some([1.0, 2.0]),
         t_odom_base: hal::Pose2::IDENTITY,
         t_map_odom: hal::Pose2::IDENTITY,
+        lost: None,
         events: Vec::new(),
         input_digest: 3,
         depth_digest: tick,

@@ -72,7 +72,8 @@ impl Submaps {
         }
     }
 
-    fn finish(&mut self) {
+    /// Merges the keyframes of the last submap, which gets no more.
+    pub(crate) fn finish(&mut self) {
         let Some(last) = self.submaps.last_mut() else { return };
         let to_submap = last.t_odom.inverse();
         self.grid.clear([0.0; 2]);

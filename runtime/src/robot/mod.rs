@@ -1,6 +1,7 @@
 //! The exploration plane's decisions: perceive, map, choose a goal, plan, for one tick's input.
 
 mod location;
+mod lost;
 mod map_correction;
 
 use std::collections::VecDeque;
@@ -12,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
-use crate::localization::{LocalizationConfig, LocalizationError};
+use crate::localization::{LocalizationConfig, LocalizationError, LostReason, Whereabouts};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{
     CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError,
@@ -22,6 +23,7 @@ use crate::recording::input_digest;
 use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
 use crate::tick::{Decision, SentCommand, TickInput};
 use location::Location;
+use lost::LostMotion;
 use map_correction::MapCorrection;
 
 pub use location::TickPoses;
@@ -150,6 +152,8 @@ pub struct Robot {
     has_depth: HasDepth,
     location: Location,
     poses: TickPoses,
+    whereabouts: Whereabouts,
+    lost_motion: LostMotion,
     map_correction: MapCorrection,
     map: OccupancyGrid,
     /// Maps of the newest single frames, oldest first, from which the policy finds inconsistencies.
@@ -192,6 +196,8 @@ impl Robot {
                 Pose2::new(config.laser_forward_m, 0.0, 0.0),
             )?,
             poses: TickPoses::START,
+            whereabouts: Whereabouts::Localized,
+            lost_motion: LostMotion::default(),
             map_correction: MapCorrection::default(),
             map: OccupancyGrid::new(&config.map)?,
             frame_maps: VecDeque::new(),
@@ -302,7 +308,10 @@ impl Robot {
         let t_odom_camera = self.poses.t_odom_base.to_pose3() * self.config.t_base_camera;
         self.estimate_depth(input, &t_odom_camera, &mut events, timer);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
-        self.update_map(scan);
+        let is_mapped = self.whereabouts == Whereabouts::Localized;
+        if is_mapped {
+            self.update_map(scan);
+        }
         timer.ended(Stage::Map);
         let desired = self.desired(input, &mut events);
         timer.ended(Stage::Plan);
@@ -314,10 +323,11 @@ impl Robot {
             goal_m: self.explorer.goal().map(|goal| goal.target_m),
             t_odom_base: self.poses.t_odom_base,
             t_map_odom: self.poses.t_map_odom,
+            lost: self.whereabouts.lost(),
             events,
             input_digest: input_digest(input),
             depth_digest,
-            map_digest: self.map.changes_digest(),
+            map_digest: if is_mapped { self.map.changes_digest() } else { 0 },
         }
     }
 
@@ -338,6 +348,7 @@ impl Robot {
             goal_m: None,
             t_odom_base: self.poses.t_odom_base,
             t_map_odom: self.poses.t_map_odom,
+            lost: self.whereabouts.lost(),
             events,
             input_digest: input_digest(input),
             depth_digest: 0,
@@ -355,6 +366,10 @@ impl Robot {
         self.has_depth = HasDepth::default();
         if let Some(truth) = input.truth {
             self.has_depth.truth = self.copy_truth(truth);
+        }
+        if self.whereabouts.lost().is_some() {
+            events.push(Event::NoDepth { why: NoDepth::Lost });
+            return;
         }
         let Some(frame) = input.frame else {
             events.push(Event::NoDepth { why: NoDepth::NoFrame });
@@ -457,6 +472,10 @@ impl Robot {
         if input.safety.in_charge || frames_missing {
             return Twist2::ZERO;
         }
+        let yaw_rate = self.config.rotation_step_rad / self.config.tick_s;
+        if self.whereabouts.lost().is_some() {
+            return self.lost_motion.desired(&input.wheel, input.time_ns, yaw_rate, events);
+        }
         let newest_and_earlier = self.frame_maps.back().zip(self.frame_maps.front());
         let observations = Observations {
             tick: input.tick,
@@ -468,7 +487,6 @@ impl Robot {
         };
         let primitive = self.explorer.step(&observations, events);
         let forward = self.config.forward_step_m / self.config.tick_s;
-        let yaw_rate = self.config.rotation_step_rad / self.config.tick_s;
         match primitive {
             Primitive::Forward => Twist2 { linear_mps: forward, angular_radps: 0.0 },
             Primitive::TurnLeft => Twist2 { linear_mps: 0.0, angular_radps: yaw_rate },
@@ -485,7 +503,16 @@ impl Robot {
         scan: Option<&LaserScan>,
         events: &mut Vec<Event>,
     ) {
-        self.poses = self.location.update(input, scan);
+        let before = self.poses.t_map_base();
+        let located = self.location.update(input, scan);
+        self.poses = located.poses;
+        events.extend(located.wheel_error.map(|how| Event::WheelsContradicted { how }));
+        let was_lost = std::mem::replace(&mut self.whereabouts, located.whereabouts).lost();
+        match (was_lost, located.whereabouts.lost()) {
+            (None, Some(why)) => self.note_lost(why, events),
+            (Some(_), None) => self.note_found(&before, events),
+            _ => {}
+        }
         if let Some(moved) = self.map_correction.update(&self.location, &mut self.map) {
             let before = self.poses.t_map_base();
             events.push(Event::MapCorrected { shift_m: moved.shift_m(&before) });
@@ -499,6 +526,39 @@ impl Robot {
         self.poses.t_map_odom = self.map_correction.t_map_odom();
     }
 
+    /// Nothing that was remembered around the robot holds where it is now.
+    fn note_lost(&mut self, why: LostReason, events: &mut Vec<Event>) {
+        events.push(Event::Lost { why });
+        self.coarse.forget();
+        self.frame_maps.clear();
+        self.lost_motion.reset();
+    }
+
+    /// The map stays, the robot's place in it is another: the path is planned anew.
+    fn note_found(&mut self, before: &Pose2, events: &mut Vec<Event>) {
+        events.push(Event::Found { shift_m: self.poses.t_map_base().distance_m(before) });
+        self.map_correction.jump(&self.location, &mut self.map, self.poses.t_map_odom);
+        self.explorer.move_places(|place_m| place_m);
+        self.lost_motion.reset();
+    }
+
+    /// The robot does not know where it is in its map, because the map was loaded, or because the robot was carried. It makes
+    /// no map until it has found itself. Without a map from scans, nothing changes.
+    pub fn lose(&mut self, why: LostReason) {
+        self.location.lose(why);
+        self.coarse.forget();
+        self.frame_maps.clear();
+        self.collision_at = None;
+        self.bumped = false;
+        self.last_time_ns = None;
+    }
+
+    /// Whether the robot knows where it is.
+    #[must_use]
+    pub fn whereabouts(&self) -> Whereabouts {
+        self.whereabouts
+    }
+
     /// Until a new command acts, the robot goes on as it does now.
     fn pose_when_the_command_acts(&self, input: &TickInput<'_>) -> Pose2 {
         let age_s = input.time_ns.saturating_sub(input.wheel.time_ns) as f64 * 1e-9;
@@ -509,7 +569,9 @@ impl Robot {
 
     /// The safety plane reports places in the frame of wheel odometry.
     fn note_blocked(&mut self, input: &TickInput<'_>) {
-        if let Some([x_m, y_m]) = input.safety.blocked_m {
+        if let Some([x_m, y_m]) = input.safety.blocked_m
+            && self.whereabouts.lost().is_none()
+        {
             let t_map_wheels = self.poses.t_map_base().compose(&input.wheel.odom.inverse());
             self.collision_at = Some(t_map_wheels.transform(x_m, y_m).into());
             self.bumped = true;
@@ -562,7 +624,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, location, poses, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, location, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.
