@@ -34,6 +34,7 @@ type Devices = VirtualDevices<Time, FaultyCamera<SimCamera>>;
 /// A run in progress.
 pub struct Scenario {
     session: Session<Devices>,
+    simulated: SimulatedRobot,
     truth: Truth,
     observer: ScenarioObserver,
 }
@@ -97,7 +98,8 @@ impl Scenario {
         let devices = VirtualDevices::new(FaultyClock::new(time, &faults), camera);
         let observer = ScenarioObserver { shadow: None, sent: Vec::new() };
         let session = Session::new(devices, robot, port, TICK_NS);
-        Ok(Self { session, truth: simulated.devices().truth, observer })
+        let truth = simulated.devices().truth;
+        Ok(Self { session, simulated, truth, observer })
     }
 
     /// From now on every tick is also decided by a second robot, which starts from a snapshot of this one every few ticks.
@@ -113,6 +115,16 @@ impl Scenario {
     #[must_use]
     pub fn robot(&self) -> &Robot {
         self.session.robot()
+    }
+
+    /// The robot, to be told between two ticks that it was carried.
+    pub fn robot_mut(&mut self) -> &mut Robot {
+        self.session.robot_mut()
+    }
+
+    /// Lifts the robot and puts it down at `t_world_base`.
+    pub fn carry_to(&self, pose: Pose2) {
+        self.simulated.carry_to(pose);
     }
 
     /// Passes an operator's request to the safety loop.

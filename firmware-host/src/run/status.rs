@@ -97,6 +97,9 @@ pub struct ExplorationStatus {
     pub policy: String,
     /// What it is after.
     pub goal: Option<String>,
+    /// Why the robot does not know where it is, if so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lost: Option<String>,
     /// Why the last picture gave no depth, if it gave none.
     pub no_depth: Option<String>,
     /// Time of a turn, milliseconds: half of them take less.
@@ -198,6 +201,12 @@ impl Status {
                 self.safety.state
             ));
         }
+        worries.extend(
+            self.exploration
+                .lost
+                .as_ref()
+                .map(|why| format!("the robot does not know where it is and searches: {why}")),
+        );
         worries.extend(
             self.recording
                 .failure

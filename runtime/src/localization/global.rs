@@ -230,7 +230,7 @@ impl GlobalMap {
         self.query.as_ref().is_some_and(Query::is_searching)
     }
 
-    fn is_busy(&self) -> bool {
+    pub(crate) fn is_busy(&self) -> bool {
         self.solving.is_some() || self.query.is_some() || !self.queue.is_empty()
     }
 

@@ -472,6 +472,29 @@ mod tests {
     }
 
     #[test]
+    fn scans_between_submaps_allocate_nothing() {
+        let mut robot = TestRobot::in_room(5);
+        let mut localizer = localizer(&robot);
+        let mut counted = 0;
+        for (step, (forward_m, yaw_rad)) in round_trip(900).enumerate() {
+            robot.step(forward_m, yaw_rad);
+            let scan = robot.scan();
+            let input = Some((&scan, &robot.wheel));
+            let submap = localizer.submap();
+            let is_busy = localizer.global.is_busy();
+            let allocations = allocation_counter::measure(|| {
+                localizer.update(&robot.wheel, robot.time_ns, input);
+            });
+            let is_plain = !is_busy && !localizer.global.is_busy() && localizer.submap() == submap;
+            if step > 450 && is_plain {
+                assert_eq!(allocations.count_total, 0, "step {step}");
+                counted += 1;
+            }
+        }
+        assert!(counted > 200, "{counted}");
+    }
+
+    #[test]
     fn a_scan_of_another_shape_and_odometry_that_is_not_finite_change_nothing() {
         let mut robot = TestRobot::in_room(5);
         let mut localizer = localizer(&robot);
