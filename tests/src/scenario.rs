@@ -117,7 +117,7 @@ impl Scenario {
         self.session.robot()
     }
 
-    /// The robot, to be told between two ticks that it was carried.
+    /// The robot, for changes between two ticks.
     pub fn robot_mut(&mut self) -> &mut Robot {
         self.session.robot_mut()
     }

@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn some_scans_that_do_not_fit_make_the_robot_lost_and_the_wheels_tell_the_reason() {
+    fn some_scans_that_do_not_fit_make_the_robot_lost_and_the_wheels_give_the_reason() {
         for (metres, why) in [(0.0, LostReason::Carried), (0.04, LostReason::ScanDoesNotFit)] {
             let mut doubt = Doubt::default();
             assert_eq!(doubt.observe(&scan(0.95, 100), &Pose2::IDENTITY), None);

@@ -1,14 +1,14 @@
 //! Known surfaces that a scan has seen through: evidence that the scan was not taken there.
 //!
 //! A scan lies on the walls of many rooms of a similar size. A wall that stands in the map between the scanner and what it has
-//! hit tells them apart.
+//! hit distinguishes them.
 
 use hal::Pose2;
 
 use super::scan_points::Stretch;
 use super::surfel_grid::SurfelGrid;
 
-/// Directions that are told apart.
+/// Directions that are distinguished.
 const SECTORS: usize = 360;
 /// Surfaces further away are hit by few beams, metres.
 const MAX_RANGE_M: f32 = 8.0;

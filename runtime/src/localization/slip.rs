@@ -11,6 +11,9 @@ const MOST_RAD: f64 = 0.15;
 /// And they are larger than this share of what the wheels report: a wrong radius or track is less.
 const MOST_SHARE: f64 = 0.5;
 
+/// Wheels that spin report at least this share of what the scans take back.
+const SPIN_SHARE: f64 = 0.7;
+
 /// How the wheels contradict the scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -76,9 +79,12 @@ impl Slip {
     /// Wheels that spin report what the scans take back.
     fn kind(&self, shifted: bool) -> WheelError {
         let [wheels, more] = [self.wheels, self.more];
-        let (reported, taken_back) =
-            if shifted { (wheels.x_m, -more.x_m) } else { (wheels.yaw_rad, -more.yaw_rad) };
-        let spins = reported * taken_back > 0.0 && reported.abs() > MOST_SHARE * taken_back.abs();
+        let (reported, taken_back, size) = if shifted {
+            (wheels.x_m, -more.x_m, more.length_m())
+        } else {
+            (wheels.yaw_rad, -more.yaw_rad, more.yaw_rad.abs())
+        };
+        let spins = reported * taken_back > 0.0 && reported.abs() > SPIN_SHARE * size;
         if spins { WheelError::Spin } else { WheelError::Pushed }
     }
 }
@@ -105,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_spin_and_a_robot_that_is_pushed_are_told_apart_and_reported_once() {
+    fn wheels_that_spin_and_a_robot_that_is_pushed_are_distinguished_and_reported_once() {
         let forward = Pose2::new(0.03, 0.0, 0.0);
         let rotation = Pose2::new(0.0, 0.0, 0.035);
         for motion in [forward, rotation] {

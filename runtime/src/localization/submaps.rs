@@ -71,7 +71,7 @@ impl Submaps {
     pub(crate) fn add(&mut self, pose: &Pose2, stretches: &[Stretch]) {
         self.keyframes += 1;
         if self.current.len() < KEYFRAMES {
-            let mut kept = self.spare.pop().unwrap_or_default();
+            let mut kept = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(MAX_STRETCHES));
             kept.extend_from_slice(stretches);
             self.current.push((*pose, kept));
         }

@@ -2,10 +2,12 @@
 
 use std::f64::consts::TAU;
 
-use hal::{Twist2, WheelFeedback, wrap_angle};
+use hal::{Pose2, Twist2, WheelFeedback, wrap_angle};
 use serde::{Deserialize, Serialize};
 
+use super::Robot;
 use crate::event::Event;
+use crate::localization::{LostReason, Whereabouts};
 use crate::snapshot::remembers;
 
 /// It stands this long first: it may have been put down a moment ago, nanoseconds.
@@ -66,10 +68,44 @@ impl LostMotion {
     }
 }
 
+impl Robot {
+    /// Nothing that was remembered around the robot holds where it is now.
+    pub(super) fn note_lost(&mut self, why: LostReason, events: &mut Vec<Event>) {
+        events.push(Event::Lost { why });
+        self.coarse.forget();
+        self.frame_maps.clear();
+        self.lost_motion.reset();
+    }
+
+    /// The map stays, the robot's place in it is another: the path is planned anew.
+    pub(super) fn note_found(&mut self, before: &Pose2, events: &mut Vec<Event>) {
+        events.push(Event::Found { shift_m: self.poses.t_map_base().distance_m(before) });
+        self.map_correction.jump(&self.location, &mut self.map, self.poses.t_map_odom);
+        self.explorer.move_places(|place_m| place_m);
+        self.lost_motion.reset();
+    }
+
+    /// The robot does not know where it is in its map, because the map was loaded, or because the robot was carried. It makes
+    /// no map until it has found itself. Without a map from scans, nothing changes.
+    pub fn lose(&mut self, why: LostReason) {
+        self.location.lose(why);
+        self.coarse.forget();
+        self.frame_maps.clear();
+        self.collision_at = None;
+        self.bumped = false;
+        self.last_time_ns = None;
+    }
+
+    /// Whether the robot knows where it is.
+    #[must_use]
+    pub fn whereabouts(&self) -> Whereabouts {
+        self.whereabouts
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use hal::Pose2;
 
     #[test]
     fn it_stands_then_rotates_twice_then_stands_with_the_reason() {

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
-use crate::localization::{LocalizationConfig, LocalizationError, LostReason, Whereabouts};
+use crate::localization::{LocalizationConfig, LocalizationError, Whereabouts};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{
     CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError,
@@ -524,39 +524,6 @@ impl Robot {
             self.frame_maps.clear();
         }
         self.poses.t_map_odom = self.map_correction.t_map_odom();
-    }
-
-    /// Nothing that was remembered around the robot holds where it is now.
-    fn note_lost(&mut self, why: LostReason, events: &mut Vec<Event>) {
-        events.push(Event::Lost { why });
-        self.coarse.forget();
-        self.frame_maps.clear();
-        self.lost_motion.reset();
-    }
-
-    /// The map stays, the robot's place in it is another: the path is planned anew.
-    fn note_found(&mut self, before: &Pose2, events: &mut Vec<Event>) {
-        events.push(Event::Found { shift_m: self.poses.t_map_base().distance_m(before) });
-        self.map_correction.jump(&self.location, &mut self.map, self.poses.t_map_odom);
-        self.explorer.move_places(|place_m| place_m);
-        self.lost_motion.reset();
-    }
-
-    /// The robot does not know where it is in its map, because the map was loaded, or because the robot was carried. It makes
-    /// no map until it has found itself. Without a map from scans, nothing changes.
-    pub fn lose(&mut self, why: LostReason) {
-        self.location.lose(why);
-        self.coarse.forget();
-        self.frame_maps.clear();
-        self.collision_at = None;
-        self.bumped = false;
-        self.last_time_ns = None;
-    }
-
-    /// Whether the robot knows where it is.
-    #[must_use]
-    pub fn whereabouts(&self) -> Whereabouts {
-        self.whereabouts
     }
 
     /// Until a new command acts, the robot goes on as it does now.
