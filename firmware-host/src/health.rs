@@ -94,6 +94,9 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
         exploration.turn_p99_ms,
         exploration.skipped
     );
+    if let Some(why) = &exploration.lost {
+        let _ = writeln!(out, "             lost: {why}");
+    }
     if let Some(why) = &exploration.no_depth {
         let _ = writeln!(out, "             {why}");
     }

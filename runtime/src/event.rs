@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::localization::{LostReason, WheelError};
 use crate::perception::NoDepth;
 
 /// An entry of the log: what the robot decided, and why.
@@ -58,6 +59,23 @@ pub enum Event {
     MapCorrected {
         /// How far the robot's own place in `map` moved, metres.
         shift_m: f64,
+    },
+    /// The robot no longer knows where it is in the map. It makes no depth and no map, and searches for itself.
+    Lost {
+        /// Why.
+        why: LostReason,
+    },
+    /// The robot knows again where it is.
+    Found {
+        /// How far that is from where it was believed to be, metres.
+        shift_m: f64,
+    },
+    /// The robot has rotated and did not find itself in the map: it stands.
+    StandsLost,
+    /// The wheels report another motion than the scans; the scans keep the pose.
+    WheelsContradicted {
+        /// How.
+        how: WheelError,
     },
     /// The policy changed the way in which it chooses goals.
     PolicySwitched {

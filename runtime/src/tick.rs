@@ -4,6 +4,7 @@ use hal::{DepthMap, ImageView, LaserScan, Pose2, Twist2, WheelFeedback};
 use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, SafetyEvent};
+use crate::localization::LostReason;
 
 /// Everything that enters one tick. A recording of all inputs replays the run.
 #[derive(Debug, Clone, Copy)]
@@ -112,6 +113,9 @@ pub struct Decision {
     pub t_odom_base_at_frame: Pose2,
     /// Pose of `odom` in `map`. It changes when localization corrects the path.
     pub t_map_odom: Pose2,
+    /// Why the robot does not know where it is in `map`; `None` if it does. `t_map_odom` is then the last one that was known.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub lost: Option<LostReason>,
     /// What happened, with reasons.
     pub events: Vec<Event>,
     /// First 8 bytes of the BLAKE3 digest of the whole input: identifies what the decision was made on, to the last bit.

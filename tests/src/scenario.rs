@@ -34,6 +34,7 @@ type Devices = VirtualDevices<Time, FaultyCamera<SimCamera>>;
 /// A run in progress.
 pub struct Scenario {
     session: Session<Devices>,
+    simulated: SimulatedRobot,
     truth: Truth,
     observer: ScenarioObserver,
 }
@@ -98,7 +99,8 @@ impl Scenario {
         let devices = VirtualDevices::new(FaultyClock::new(time, &faults), camera);
         let observer = ScenarioObserver { shadow: None, sent: Vec::new() };
         let session = Session::new(devices, robot, port, TICK_NS);
-        Ok(Self { session, truth: simulated.devices().truth, observer })
+        let truth = simulated.devices().truth;
+        Ok(Self { session, simulated, truth, observer })
     }
 
     /// Adds a second robot, the shadow, which decides every tick as well and starts again from a snapshot of the first
@@ -115,6 +117,16 @@ impl Scenario {
     #[must_use]
     pub fn robot(&self) -> &Robot {
         self.session.robot()
+    }
+
+    /// The robot, for changes between two ticks.
+    pub fn robot_mut(&mut self) -> &mut Robot {
+        self.session.robot_mut()
+    }
+
+    /// Lifts the robot and puts it down at `t_world_base`.
+    pub fn carry_to(&self, pose: Pose2) {
+        self.simulated.carry_to(pose);
     }
 
     /// Passes an operator's request to the safety loop.

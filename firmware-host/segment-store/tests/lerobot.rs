@@ -35,6 +35,7 @@ fn full_tick(number: u64, time_ns: u64) -> RecordedTick {
         t_odom_base: hal::Pose2::new(0.02 * number as f64, 0.01, 0.1),
         t_odom_base_at_frame: hal::Pose2::new(0.02 * number as f64, 0.01, 0.1),
         t_map_odom: hal::Pose2::new(0.5, 0.0, -0.1),
+        lost: None,
         events: Vec::new(),
         input_digest: 0,
         depth_digest: 0,

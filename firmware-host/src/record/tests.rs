@@ -35,6 +35,7 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         t_odom_base: hal::Pose2::IDENTITY,
         t_odom_base_at_frame: hal::Pose2::IDENTITY,
         t_map_odom: hal::Pose2::IDENTITY,
+        lost: None,
         events: Vec::new(),
         input_digest: 3,
         depth_digest: tick,

@@ -43,6 +43,12 @@ pub struct EventCounts {
     /// Number of escapes: rotations out of a place where the robot tripped repeatedly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bumper_escapes: Option<u64>,
+    /// Times that the robot did not know where it was, by reason.
+    #[serde(skip_serializing_if = "Reasons::is_empty")]
+    pub lost: Reasons,
+    /// Times that wheels and scans reported different motions, by kind.
+    #[serde(skip_serializing_if = "Reasons::is_empty")]
+    pub wheels_contradicted: Reasons,
     /// Refused sensor inputs, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub refused_inputs: Reasons,
@@ -75,6 +81,8 @@ impl EventCounts {
             }
             Event::NoGoal { why } => count(&mut self.no_goal, why),
             Event::NoDepth { why } => count(&mut self.no_depth, why),
+            Event::Lost { why } => count(&mut self.lost, why),
+            Event::WheelsContradicted { how } => count(&mut self.wheels_contradicted, how),
             Event::InputRefused { why } => count(&mut self.refused_inputs, why),
             Event::Safety { what: SafetyEvent::Tripped { by, .. } } => {
                 *self.bumper_trips.get_or_insert(0) += 1;

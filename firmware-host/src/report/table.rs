@@ -107,6 +107,8 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ("dropped for", by_reason(&goals.dropped)),
         ("no goal", counted(&events.no_goal, "times")),
         ("no depth", counted(&events.no_depth, "frames")),
+        ("lost", counted(&events.lost, "times")),
+        ("wheels", counted(&events.wheels_contradicted, "times")),
         ("refused", counted(&events.refused_inputs, "inputs")),
         (
             "memory",

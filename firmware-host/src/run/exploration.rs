@@ -10,7 +10,7 @@ use runtime::latency::Percentiles;
 use runtime::lidar_agreement::LidarAgreement;
 use runtime::mapping::CellState;
 use runtime::perception::NoDepth;
-use runtime::recording::{RecordedTick, sentence};
+use runtime::recording::{RecordedTick, lost_reason, sentence};
 use runtime::robot::{Robot, Stage as RobotStage, StageTimer};
 use runtime::session::{Observer, SafetyPort, Session};
 use runtime::tick::{Decision, TickInput};
@@ -81,6 +81,7 @@ impl Exploration {
                 let [x_m, y_m] = goal.target_m;
                 format!("{:?} at ({x_m:.2}, {y_m:.2}) m", goal.why).to_lowercase()
             }),
+            lost: robot.whereabouts().lost().map(|why| lost_reason(why).to_owned()),
             no_depth: self.log.no_depth.map(|why| sentence(&Event::NoDepth { why }).1),
             turn_p50_ms: total.map_or(0.0, |total| total.p50),
             turn_p99_ms: total.map_or(0.0, |total| total.p99),
@@ -174,6 +175,15 @@ impl RunLog {
             self.counts.add(event);
             if let Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } = event {
                 self.trips_m.push(decision.t_map_base().transform(*x_m, *y_m).into());
+            }
+            if matches!(
+                event,
+                Event::Lost { .. }
+                    | Event::Found { .. }
+                    | Event::StandsLost
+                    | Event::WheelsContradicted { .. }
+            ) {
+                tracing::warn!("{}", sentence(event).1);
             }
             if let Event::Safety { what: SafetyEvent::Faulted { .. } | SafetyEvent::Tripped { .. } } =
                 event

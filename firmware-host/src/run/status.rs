@@ -97,6 +97,9 @@ pub struct ExplorationStatus {
     pub policy: String,
     /// The kind of the current goal.
     pub goal: Option<String>,
+    /// Why the robot does not know where it is, if so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lost: Option<String>,
     /// Why the last frame has no depth; absent if it has depth.
     pub no_depth: Option<String>,
     /// Median duration of a tick, milliseconds.
@@ -199,6 +202,12 @@ impl Status {
                 self.safety.state
             ));
         }
+        worries.extend(
+            self.exploration
+                .lost
+                .as_ref()
+                .map(|why| format!("the robot does not know where it is and searches: {why}")),
+        );
         worries.extend(
             self.recording
                 .failure

@@ -9,7 +9,9 @@ use serde::{Deserialize, Serialize};
 use crate::snapshot::{SnapshotError, State, remembers};
 
 use super::closing::{Closing, Query};
-use super::pose_graph::PoseGraph;
+use super::local::Keyframe;
+use super::map_search::KnownMap;
+use super::pose_graph::{Edge, PoseGraph};
 use super::scan_points::Stretch;
 use super::submaps::Submaps;
 
@@ -26,6 +28,14 @@ const DRIFT_M: f64 = 0.004;
 const DRIFT_PER_METRE: f64 = 0.006;
 const DRIFT_RAD: f64 = 0.002;
 const DRIFT_RAD_PER_METRE: f64 = 0.001;
+/// A robot that was found may have been carried anywhere: 100 m and 100 rad. The chain of drives must not have a hole.
+const GAP_INFORMATION: f64 = 1e-4;
+/// Standard deviations of the place where it was found. Closed loops make it more exact.
+const FOUND_M: f64 = 0.03;
+const FOUND_RAD: f64 = 0.01;
+/// Standard deviations of wheels that drove on while no scan fitted.
+const WHEELS_M: f64 = 0.5;
+const WHEELS_RAD: f64 = 0.2;
 
 /// How far the improvement of the poses has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -130,6 +140,75 @@ impl GlobalMap {
         self.queue.push_back(finished);
     }
 
+    /// The robot is lost: the submap that it was in gets no more scans.
+    pub(crate) fn interrupt(&mut self) {
+        self.submaps.finish();
+    }
+
+    /// All surfaces. They do not change while [`settle_poses`](Self::settle_poses) has nothing to do.
+    pub(crate) fn known(&self) -> KnownMap<'_> {
+        KnownMap { submaps: self.submaps.all(), poses: &self.published }
+    }
+
+    /// A lost robot is found at `pose` in `odom`. Begins a submap there, with what it has seen lately. The new submap is joined to
+    /// the nearest one by that place alone, because the robot may have been carried.
+    pub(crate) fn join<'a>(
+        &mut self,
+        pose: &Pose2,
+        t_map_odom: &Pose2,
+        keyframes: impl Iterator<Item = &'a Keyframe>,
+    ) {
+        let in_map = t_map_odom.compose(pose);
+        let distances = self.published.iter().map(|submap| submap.distance_m(&in_map)).enumerate();
+        let nearest = distances.min_by(|a, b| a.1.total_cmp(&b.1));
+        let (Some((nearest, _)), Some(last)) = (nearest, self.graph.poses().last()) else { return };
+        let t_last_new = last.inverse().compose(&in_map);
+        let to = self.published.len() as u32;
+        let t_from_to = self.published[nearest].inverse().compose(&in_map);
+        let information = precision(FOUND_M, FOUND_RAD);
+        self.graph.drive(t_last_new, Matrix3::from_diagonal_element(GAP_INFORMATION));
+        self.graph.close(Edge { from: nearest as u32, to, t_from_to, information, weight: 1.0 });
+        self.begin_after_gap(pose, in_map, keyframes);
+    }
+
+    /// A lost robot is where its wheels say, at `pose` in `odom`. Begins a submap there.
+    pub(crate) fn go_on<'a>(
+        &mut self,
+        pose: &Pose2,
+        keyframes: impl Iterator<Item = &'a Keyframe>,
+    ) {
+        let (Some(last), Some(before)) = (self.submaps.all().last(), self.published.last()) else {
+            return;
+        };
+        let way = last.t_odom.inverse().compose(pose);
+        let in_map = before.compose(&way);
+        self.graph.drive(way, precision(WHEELS_M, WHEELS_RAD));
+        self.begin_after_gap(pose, in_map, keyframes);
+    }
+
+    fn begin_after_gap<'a>(
+        &mut self,
+        pose: &Pose2,
+        in_map: Pose2,
+        keyframes: impl Iterator<Item = &'a Keyframe>,
+    ) {
+        self.queue.push_back(self.current() as u32);
+        self.submaps.begin(pose);
+        for keyframe in keyframes {
+            self.submaps.add(&keyframe.pose, &keyframe.stretches);
+        }
+        self.published.push(in_map);
+        self.revision += 1;
+    }
+
+    /// Goes on improving the poses of the last closures, for the work of one update. False when there is nothing to do.
+    pub(crate) fn settle_poses(&mut self) -> bool {
+        if let Some(solving) = self.solving {
+            self.improve(solving);
+        }
+        self.solving.is_some()
+    }
+
     /// Goes on closing loops, for the work of one update.
     pub(crate) fn work(&mut self) {
         let mut operations = 0;
@@ -151,7 +230,7 @@ impl GlobalMap {
         self.query.as_ref().is_some_and(Query::is_searching)
     }
 
-    fn is_busy(&self) -> bool {
+    pub(crate) fn is_busy(&self) -> bool {
         self.solving.is_some() || self.query.is_some() || !self.queue.is_empty()
     }
 
@@ -201,9 +280,20 @@ impl GlobalMap {
         OPERATIONS
     }
 
+    /// Whether there is no submap yet.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.published.is_empty()
+    }
+
     pub(crate) fn restore(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
         State::read(self, from)?;
         self.closing.forget();
         Ok(())
     }
+}
+
+/// Inverse covariance of independent errors of these standard deviations.
+fn precision(metres: f64, radians: f64) -> Matrix3<f64> {
+    let diagonal = [metres, metres, radians].map(|deviation| 1.0 / (deviation * deviation));
+    Matrix3::from_diagonal(&Vector3::from(diagonal))
 }

@@ -16,12 +16,17 @@ use super::LocalizationConfig;
 use super::matcher::{Alignment, Prior, ScanFit, Surfaces, align};
 use super::scan_points::{ScanPoints, Stretch, Velocity};
 use super::search_grid::{Search, SearchGrid, Window};
+use super::seen_through::Sight;
 use super::wheel_model::WheelModel;
 
 /// A scan that lies on known surfaces with a smaller share of its stretches says nothing about the pose.
 const MIN_INLIERS: f32 = 0.5;
 /// A scan of which less is near known surfaces says nothing about the pose.
 const MIN_OVERLAP: f32 = 0.15;
+/// A scan of which less lies on known surfaces is examined for those that it saw through. With more of them than this it says
+/// nothing about the pose: it was taken elsewhere. New ground contradicts nothing, and people stand in front of surfaces.
+const EXAMINED_SHARE: f32 = 0.75;
+const MAX_CONTRADICTED: f32 = 0.3;
 /// A scan that fits less may have been aligned with the wrong surfaces: its pose is searched for.
 const SEARCH_INLIERS: f32 = 0.75;
 /// The search replaces an alignment that has this much fewer stretches on known surfaces.
@@ -59,6 +64,8 @@ pub(crate) struct Tracked {
     pub matched: bool,
     /// The scan became a keyframe.
     pub keyframe: bool,
+    /// There was nothing to match the scan with.
+    pub is_first: bool,
 }
 
 /// Estimates the pose of the robot in `odom`.
@@ -175,11 +182,13 @@ impl LocalTracker {
             self.add_keyframe();
             let fit =
                 ScanFit { stretches: self.points.stretches().len() as u32, ..ScanFit::default() };
-            return Tracked { fit, matched: true, keyframe: true };
+            return Tracked { fit, matched: true, keyframe: true, is_first: true };
         }
         let aligned = self.align_with_keyframes();
         let fit = aligned.map_or_else(ScanFit::default, |alignment| alignment.fit);
-        let matched = fit.inliers >= MIN_INLIERS && fit.overlap >= MIN_OVERLAP;
+        let matched = fit.inliers >= MIN_INLIERS
+            && fit.overlap >= MIN_OVERLAP
+            && aligned.is_some_and(|alignment| !self.is_contradicted(&alignment));
         match aligned {
             Some(alignment) if matched => self.correct(&alignment),
             _ => self.wheel.forget_leg(),
@@ -191,7 +200,24 @@ impl LocalTracker {
         } else if keyframe {
             self.add_keyframe();
         }
-        Tracked { fit, matched, keyframe }
+        Tracked { fit, matched, keyframe, is_first: false }
+    }
+
+    /// Forgets everything around the robot: it is elsewhere. The pose goes on from what it is.
+    pub(crate) fn begin_again(&mut self) {
+        self.keyframes.clear();
+        self.wheel.forget_leg();
+        self.velocity = Velocity::default();
+    }
+
+    /// Wheel odometry begins anew, as after a restart of the base.
+    pub(crate) fn forget_wheel_odometry(&mut self) {
+        self.last_wheel = None;
+    }
+
+    /// Recent scans with their poses, oldest first.
+    pub(crate) fn keyframes(&self) -> impl Iterator<Item = &Keyframe> {
+        self.keyframes.iter()
     }
 
     /// Forgets the keyframes, none of which is in view, and begins again where the wheels say. False while the robot has
@@ -228,6 +254,15 @@ impl LocalTracker {
             alignment = found;
         }
         Some(alignment)
+    }
+
+    /// Whether the scan, at the pose of its alignment, has seen through surfaces of the keyframes.
+    fn is_contradicted(&self, alignment: &Alignment) -> bool {
+        if alignment.fit.share() >= EXAMINED_SHARE {
+            return false;
+        }
+        let sight = Sight::new(self.points.stretches(), self.points.t_base_laser());
+        sight.contradicted(&self.surfaces.fine, &alignment.pose) > MAX_CONTRADICTED
     }
 
     /// The best alignment with the keyframes around the predicted pose, for a prediction that was too wrong to start from.

@@ -11,6 +11,7 @@
 //! | surfel | the same piece of surface merged from several scans |
 //! | keyframe | a scan that is kept, with the robot's pose |
 //! | prior | what the wheels say about the pose before the scan is matched |
+//! | lost | the pose in `map` is not known; that in `odom` goes on |
 
 mod closing;
 mod config;
@@ -19,10 +20,17 @@ mod error;
 mod global;
 mod local;
 mod localizer;
+mod lost;
+#[cfg(test)]
+mod lost_tests;
+mod map_search;
 mod matcher;
 mod pose_graph;
+mod relocalizer;
 mod scan_points;
 mod search_grid;
+mod seen_through;
+mod slip;
 mod submaps;
 mod surfel_grid;
 #[cfg(test)]
@@ -32,4 +40,6 @@ mod wheel_model;
 pub use config::{LocalizationConfig, PoseSource};
 pub use error::LocalizationError;
 pub use localizer::{Estimate, Localizer};
+pub use lost::{LostReason, Whereabouts};
 pub use matcher::ScanFit;
+pub use slip::WheelError;

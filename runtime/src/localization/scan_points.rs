@@ -122,6 +122,10 @@ impl ScanPoints {
         }
     }
 
+    pub(crate) fn t_base_laser(&self) -> &Pose2 {
+        &self.t_base_laser
+    }
+
     pub(crate) fn geometry(&self) -> &ScanGeometry {
         &self.geometry
     }

@@ -33,6 +33,8 @@ pub(crate) struct Submaps {
     /// The keyframes of the last submap.
     current: Vec<(Pose2, Vec<Stretch>)>,
     keyframes: u32,
+    /// Memory of earlier keyframes.
+    spare: Vec<Vec<Stretch>>,
     /// Merges surfaces. Every submap overwrites it.
     grid: SurfelGrid,
 }
@@ -42,7 +44,8 @@ remembers!(Submaps: submaps, current, keyframes);
 impl Submaps {
     pub(crate) fn new() -> Self {
         let grid = SurfelGrid::new(0.1);
-        Self { submaps: Vec::new(), current: Vec::new(), keyframes: 0, grid }
+        let spare = Vec::with_capacity(KEYFRAMES);
+        Self { submaps: Vec::new(), current: Vec::new(), keyframes: 0, spare, grid }
     }
 
     pub(crate) fn all(&self) -> &[Submap] {
@@ -68,11 +71,14 @@ impl Submaps {
     pub(crate) fn add(&mut self, pose: &Pose2, stretches: &[Stretch]) {
         self.keyframes += 1;
         if self.current.len() < KEYFRAMES {
-            self.current.push((*pose, stretches.to_vec()));
+            let mut kept = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(MAX_STRETCHES));
+            kept.extend_from_slice(stretches);
+            self.current.push((*pose, kept));
         }
     }
 
-    fn finish(&mut self) {
+    /// Merges the keyframes of the last submap, which gets no more.
+    pub(crate) fn finish(&mut self) {
         let Some(last) = self.submaps.last_mut() else { return };
         let to_submap = last.t_odom.inverse();
         self.grid.clear([0.0; 2]);
@@ -80,6 +86,9 @@ impl Submaps {
             self.grid.insert(stretches, &to_submap.compose(pose));
         }
         last.stretches.extend(self.grid.stretches().take(MAX_STRETCHES));
-        self.current.clear();
+        for (_, mut stretches) in self.current.drain(..) {
+            stretches.clear();
+            self.spare.push(stretches);
+        }
     }
 }

@@ -161,3 +161,87 @@ pub(crate) fn round_trip(steps: usize) -> impl Iterator<Item = (f64, f64)> {
         _ => (0.0, 0.0),
     })
 }
+
+/// A flat of 10 x 7 m: four furnished rooms beside a corridor.
+pub(crate) fn flat() -> Vec<Wall> {
+    let mut walls = Vec::new();
+    walls.extend(rectangle([0.0, 0.0], [10.0, 7.0]));
+    // The walls between rooms and corridor, with a door of 0.9 m for each room.
+    for [from, to, y] in [
+        [0.0, 1.5, 3.0],
+        [2.4, 7.0, 3.0],
+        [7.9, 10.0, 3.0],
+        [0.0, 3.0, 4.2],
+        [3.9, 8.0, 4.2],
+        [8.9, 10.0, 4.2],
+    ] {
+        walls.push([[from, y], [to, y]]);
+    }
+    walls.push([[4.0, 0.0], [4.0, 3.0]]);
+    walls.push([[6.0, 4.2], [6.0, 7.0]]);
+    for [x, y, to_x, to_y] in [
+        [0.1, 0.1, 1.1, 1.6],
+        [3.2, 2.5, 3.9, 2.9],
+        [6.5, 0.8, 7.7, 1.4],
+        [9.3, 0.5, 9.9, 2.2],
+        [0.3, 6.2, 2.2, 6.9],
+        [5.2, 4.4, 5.9, 5.4],
+        [8.9, 6.2, 9.9, 6.9],
+        [6.5, 5.0, 6.8, 5.3],
+        [5.0, 3.0, 5.4, 3.3],
+        [9.5, 3.1, 9.9, 3.6],
+    ] {
+        walls.extend(rectangle([x, y], [to_x, to_y]));
+    }
+    walls
+}
+
+/// The way through all rooms of the flat, from its first point.
+pub(crate) const FLAT_TOUR: [[f64; 2]; 18] = [
+    [0.8, 3.6],
+    [1.95, 3.6],
+    [1.95, 2.2],
+    [3.0, 1.5],
+    [1.95, 2.2],
+    [1.95, 3.6],
+    [3.45, 3.7],
+    [3.45, 5.4],
+    [1.2, 5.2],
+    [3.45, 5.5],
+    [3.45, 3.7],
+    [7.45, 3.7],
+    [7.45, 2.2],
+    [5.2, 1.8],
+    [7.45, 2.2],
+    [8.45, 3.7],
+    [8.45, 5.5],
+    [7.4, 6.2],
+];
+
+impl TestRobot {
+    /// In the flat, where [`FLAT_TOUR`] begins.
+    pub(crate) fn in_flat(seed: u64) -> Self {
+        let [x_m, y_m] = FLAT_TOUR[0];
+        Self { truth: Pose2::new(x_m, y_m, 0.0), ..Self::new(flat(), seed) }
+    }
+
+    /// The next step to a place: forward and yaw. `None` when it is there.
+    pub(crate) fn step_to(&self, [x_m, y_m]: [f64; 2]) -> Option<(f64, f64)> {
+        let (dx, dy) = (x_m - self.truth.x_m, y_m - self.truth.y_m);
+        let off_rad = hal::wrap_angle(dy.atan2(dx) - self.truth.yaw_rad);
+        let distance_m = dx.hypot(dy);
+        if distance_m < 0.01 {
+            None
+        } else if off_rad.abs() > 0.02 {
+            Some((0.0, off_rad.clamp(-0.1, 0.1)))
+        } else {
+            Some((distance_m.min(0.05), 0.0))
+        }
+    }
+
+    /// Is put elsewhere. Its wheels do not notice.
+    pub(crate) fn carry_to(&mut self, truth: Pose2) {
+        self.truth = truth;
+        self.step(0.0, 0.0);
+    }
+}

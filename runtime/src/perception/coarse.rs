@@ -234,7 +234,7 @@ impl CoarseDepth {
     }
 
     /// Discards everything from earlier frames, after the pose has jumped.
-    fn forget(&mut self) {
+    pub(crate) fn forget(&mut self) {
         self.keyframes.forget();
         self.memory.forget();
         self.motion.forget();

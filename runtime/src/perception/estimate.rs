@@ -47,6 +47,8 @@ pub enum NoDepth {
     NoTexture,
     /// The robot has moved, but the frame equals the one before to the last bit: the camera is frozen.
     SameImage,
+    /// The robot does not know where it is.
+    Lost,
     /// The network failed, or its output contains NaN or values out of range.
     NetworkOutput,
 }

@@ -4,6 +4,7 @@ use crate::event::{
     BackOffEnd, DropReason, Event, FaultReason, GoalReason, NoGoalReason, PlanRefusal,
     RefusedInput, SafetyEvent, TripCause,
 };
+use crate::localization::{LostReason, WheelError};
 use crate::perception::NoDepth;
 
 /// Level of a log message.
@@ -34,7 +35,10 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::Safety { what } => (Warning, safety(what)),
         Event::NoDepth { why } => {
             let severity = match why {
-                NoDepth::NoFrame | NoDepth::FirstFrame | NoDepth::TooLittleParallax => Info,
+                NoDepth::NoFrame
+                | NoDepth::FirstFrame
+                | NoDepth::TooLittleParallax
+                | NoDepth::Lost => Info,
                 NoDepth::NetworkOutput | NoDepth::PoseNotFinite | NoDepth::FrameSize => Error,
                 NoDepth::PoseJump | NoDepth::NoTexture | NoDepth::SameImage => Warning,
             };
@@ -49,6 +53,18 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         }
         Event::MapCorrected { shift_m } => {
             (Info, format!("a loop was closed: the map moved {shift_m:.2} m at the robot's place"))
+        }
+        Event::Lost { why } => (Warning, format!("lost: {}", lost_reason(*why))),
+        Event::Found { shift_m } => {
+            (Info, format!("found: the robot is {shift_m:.2} m from where it was believed to be"))
+        }
+        Event::StandsLost => (
+            Warning,
+            "stopped: the robot is lost and does not recognize this place; move it, or clear the map"
+                .to_owned(),
+        ),
+        Event::WheelsContradicted { how } => {
+            (Warning, format!("wheels and scans disagree: {}", wheel_error(*how)))
         }
         Event::PolicySwitched { to } => {
             (Info, format!("policy now chooses goals by: {}", goal_reason(*to)))
@@ -83,6 +99,23 @@ fn no_goal_reason(why: NoGoalReason) -> &'static str {
         NoGoalReason::AllUnreachable => "no candidate has a path to it",
         NoGoalReason::AllBlacklisted => "every candidate is on the blacklist for now",
         NoGoalReason::StartBlocked => "the floor under the robot is not free in the map",
+    }
+}
+
+/// Why the robot does not know where it is. `health` and logs show it.
+#[must_use]
+pub fn lost_reason(why: LostReason) -> &'static str {
+    match why {
+        LostReason::ScanDoesNotFit => "scans do not fit what was seen a moment ago",
+        LostReason::Carried => "scans changed while the wheels stood: the robot was carried",
+        LostReason::Loaded => "the robot was started in a saved map",
+    }
+}
+
+fn wheel_error(how: WheelError) -> &'static str {
+    match how {
+        WheelError::Spin => "the wheels spin, or the robot is held",
+        WheelError::Pushed => "the robot moves and its wheels do not: it is pushed or carried",
     }
 }
 
@@ -168,6 +201,7 @@ fn no_depth(why: NoDepth) -> &'static str {
         NoDepth::SameImage => {
             "the robot has moved but the image is the previous one: the camera is frozen"
         }
+        NoDepth::Lost => "the robot is lost",
         NoDepth::NetworkOutput => "the network failed or its output is out of range",
     }
 }

@@ -10,6 +10,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::event::{BackOffEnd, Event, GoalReason, SafetyEvent};
+use crate::localization::LostReason;
 use crate::tick::{Command, Decision, SafetyReport, SentCommand};
 
 pub(super) fn run_header() -> RunHeader {
@@ -34,6 +35,7 @@ fn decision(tick: u64) -> Decision {
         t_odom_base: Pose2::new(0.1, 0.2, 0.3),
         t_odom_base_at_frame: Pose2::new(0.09, 0.2, 0.29),
         t_map_odom: Pose2::new(-0.01, 0.0, 0.002),
+        lost: tick.is_multiple_of(2).then_some(LostReason::Carried),
         goal_m: (!tick.is_multiple_of(3)).then_some([1.5, -0.1]),
         events: vec![Event::GoalChosen { x_m: 1.5, y_m: -0.1, why: GoalReason::Frontier }],
         input_digest: 3,
@@ -237,6 +239,7 @@ fn any_decision() -> impl Strategy<Value = Decision> {
             t_odom_base: Pose2::new(v[0], v[1], v[2]),
             t_odom_base_at_frame: Pose2::new(v[2], v[0], v[1]),
             t_map_odom: Pose2::new(v[3], v[4], v[5]),
+            lost: goal.then_some(LostReason::Loaded),
             goal_m: goal.then_some([v[4], v[5]]),
             events: vec![
                 Event::GoalReached,

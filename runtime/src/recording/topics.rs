@@ -120,6 +120,7 @@ const DECISION: &str = r#"{"title":"robot.Decision","type":"object","properties"
 "goal_m":{"type":"array","items":{"type":"number"}},
 "t_odom_base":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_rad":{"type":"number"}}},
 "t_map_odom":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_rad":{"type":"number"}}},
+"lost":{"type":"string"},
 "events":{"type":"array","items":{"type":"object","properties":{"event":{"type":"string"}}}},
 "input_digest":{"type":"integer"},"depth_digest":{"type":"integer"},"map_digest":{"type":"integer"}}}"#;
 

@@ -3,7 +3,10 @@
 use hal::{LaserScan, Pose2, ScanGeometry};
 use serde::{Deserialize, Serialize};
 
-use crate::localization::{LocalizationConfig, LocalizationError, Localizer, PoseSource};
+use crate::localization::{
+    Estimate, LocalizationConfig, LocalizationError, Localizer, LostReason, PoseSource, WheelError,
+    Whereabouts,
+};
 use crate::snapshot::{SnapshotError, State};
 use crate::tick::TickInput;
 
@@ -42,6 +45,27 @@ impl TickPoses {
     }
 }
 
+/// What localization made of a tick.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Located {
+    pub poses: TickPoses,
+    /// Whether `t_map_odom` is known.
+    pub whereabouts: Whereabouts,
+    pub wheel_error: Option<WheelError>,
+}
+
+impl Located {
+    fn by_wheels(wheel: Pose2, at_scan: Pose2) -> Self {
+        let poses = TickPoses {
+            t_odom_base: wheel,
+            t_odom_base_at_frame: wheel,
+            t_map_odom: Pose2::IDENTITY,
+            t_odom_base_at_scan: at_scan,
+        };
+        Self { poses, whereabouts: Whereabouts::Localized, wheel_error: None }
+    }
+}
+
 /// Localization within the robot. The localizer is made for the first scan that comes; before it, and without a scanner, the
 /// wheels give the pose.
 pub(super) struct Location {
@@ -66,15 +90,10 @@ impl Location {
     }
 
     /// The poses of a tick whose wheel odometry is finite. `scan` is sound, or absent.
-    pub(super) fn update(&mut self, input: &TickInput<'_>, scan: Option<&LaserScan>) -> TickPoses {
+    pub(super) fn update(&mut self, input: &TickInput<'_>, scan: Option<&LaserScan>) -> Located {
         let wheel = input.wheel.odom;
         if self.config.source == PoseSource::Wheels {
-            return TickPoses {
-                t_odom_base: wheel,
-                t_odom_base_at_frame: wheel,
-                t_map_odom: Pose2::IDENTITY,
-                t_odom_base_at_scan: input.scan_odom,
-            };
+            return Located::by_wheels(wheel, input.scan_odom);
         }
         if self.localizer.is_none()
             && let Some(scan) = scan
@@ -82,15 +101,18 @@ impl Location {
             self.start(&scan.geometry, wheel);
         }
         let Some(localizer) = &mut self.localizer else {
-            return TickPoses {
-                t_odom_base: wheel,
-                t_odom_base_at_frame: wheel,
-                t_map_odom: Pose2::IDENTITY,
-                t_odom_base_at_scan: wheel,
-            };
+            return Located::by_wheels(wheel, wheel);
         };
         let scan = scan.map(|scan| (scan, &input.scan_odom));
         let estimate = localizer.update(&wheel, input.wheel.time_ns, scan);
+        Located {
+            poses: self.poses(&estimate),
+            whereabouts: estimate.whereabouts,
+            wheel_error: estimate.wheel_error,
+        }
+    }
+
+    fn poses(&self, estimate: &Estimate) -> TickPoses {
         let t_odom_base = self.origin.compose(&estimate.t_odom_base);
         let at_scan = estimate.t_odom_base_at_scan;
         TickPoses {
@@ -98,6 +120,13 @@ impl Location {
             t_odom_base_at_frame: t_odom_base,
             t_map_odom: self.origin.compose(&estimate.t_map_odom).compose(&self.origin.inverse()),
             t_odom_base_at_scan: at_scan.map_or(t_odom_base, |pose| self.origin.compose(&pose)),
+        }
+    }
+
+    /// See [`Localizer::lose`]. Without a localizer there is no map yet.
+    pub(super) fn lose(&mut self, why: LostReason) {
+        if let Some(localizer) = &mut self.localizer {
+            localizer.lose(why);
         }
     }
 

@@ -61,6 +61,19 @@ impl MapCorrection {
         self.in_force
     }
 
+    /// The robot was found: its cells belong to a new submap from now on, whose place says where the robot is. The map stays as it
+    /// is; a correction that was under way begins again.
+    pub(super) fn jump(&mut self, location: &Location, map: &mut OccupancyGrid, to: Pose2) {
+        self.work = None;
+        let before = self.in_force;
+        while self.drawn.len() < location.submap() {
+            let t_odom_submap = location.submap_in_odom(self.drawn.len());
+            self.drawn.push(before.compose(&t_odom_submap.unwrap_or(Pose2::IDENTITY)));
+        }
+        self.in_force = to;
+        self.begin_section(location, map);
+    }
+
     /// Goes on with the map's correction. Returns how the map moved in the tick in which it is exchanged.
     pub(super) fn update(&mut self, location: &Location, map: &mut OccupancyGrid) -> Option<Moved> {
         if self.work.is_none() {

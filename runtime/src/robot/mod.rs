@@ -2,6 +2,7 @@
 
 mod camera_time;
 mod location;
+mod lost;
 mod map_correction;
 
 use std::collections::VecDeque;
@@ -14,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
-use crate::localization::{LocalizationConfig, LocalizationError};
+use crate::localization::{LocalizationConfig, LocalizationError, Whereabouts};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{
     CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError,
@@ -25,6 +26,7 @@ use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
 use crate::tick::{Decision, SentCommand, TickInput};
 use camera_time::CameraTime;
 use location::Location;
+use lost::LostMotion;
 use map_correction::MapCorrection;
 
 pub use location::TickPoses;
@@ -154,6 +156,8 @@ pub struct Robot {
     location: Location,
     camera_time: CameraTime,
     poses: TickPoses,
+    whereabouts: Whereabouts,
+    lost_motion: LostMotion,
     map_correction: MapCorrection,
     map: OccupancyGrid,
     /// Maps of the newest single frames, oldest first, from which the policy finds inconsistencies.
@@ -197,6 +201,8 @@ impl Robot {
             )?,
             camera_time: CameraTime::default(),
             poses: TickPoses::START,
+            whereabouts: Whereabouts::Localized,
+            lost_motion: LostMotion::default(),
             map_correction: MapCorrection::default(),
             map: OccupancyGrid::new(&config.map)?,
             frame_maps: VecDeque::new(),
@@ -308,7 +314,10 @@ impl Robot {
         self.estimate_depth(input, &t_odom_camera, &mut events, timer);
         self.find_camera_time(input);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
-        self.update_map(scan);
+        let is_mapped = self.whereabouts == Whereabouts::Localized;
+        if is_mapped {
+            self.update_map(scan);
+        }
         timer.ended(Stage::Map);
         let desired = self.desired(input, &mut events);
         timer.ended(Stage::Plan);
@@ -321,10 +330,11 @@ impl Robot {
             t_odom_base: self.poses.t_odom_base,
             t_odom_base_at_frame: self.poses.t_odom_base_at_frame,
             t_map_odom: self.poses.t_map_odom,
+            lost: self.whereabouts.lost(),
             events,
             input_digest: input_digest(input),
             depth_digest,
-            map_digest: self.map.changes_digest(),
+            map_digest: if is_mapped { self.map.changes_digest() } else { 0 },
         }
     }
 
@@ -346,6 +356,7 @@ impl Robot {
             t_odom_base: self.poses.t_odom_base,
             t_odom_base_at_frame: self.poses.t_odom_base_at_frame,
             t_map_odom: self.poses.t_map_odom,
+            lost: self.whereabouts.lost(),
             events,
             input_digest: input_digest(input),
             depth_digest: 0,
@@ -363,6 +374,10 @@ impl Robot {
         self.has_depth = HasDepth::default();
         if let Some(truth) = input.truth {
             self.has_depth.truth = self.copy_truth(truth);
+        }
+        if self.whereabouts.lost().is_some() {
+            events.push(Event::NoDepth { why: NoDepth::Lost });
+            return;
         }
         let Some(frame) = input.frame else {
             events.push(Event::NoDepth { why: NoDepth::NoFrame });
@@ -479,6 +494,10 @@ impl Robot {
         if input.safety.in_charge || frames_missing {
             return Twist2::ZERO;
         }
+        let yaw_rate = self.config.rotation_step_rad / self.config.tick_s;
+        if self.whereabouts.lost().is_some() {
+            return self.lost_motion.desired(&input.wheel, input.time_ns, yaw_rate, events);
+        }
         let newest_and_earlier = self.frame_maps.back().zip(self.frame_maps.front());
         let observations = Observations {
             tick: input.tick,
@@ -490,7 +509,6 @@ impl Robot {
         };
         let primitive = self.explorer.step(&observations, events);
         let forward = self.config.forward_step_m / self.config.tick_s;
-        let yaw_rate = self.config.rotation_step_rad / self.config.tick_s;
         match primitive {
             Primitive::Forward => Twist2 { linear_mps: forward, angular_radps: 0.0 },
             Primitive::TurnLeft => Twist2 { linear_mps: 0.0, angular_radps: yaw_rate },
@@ -507,10 +525,19 @@ impl Robot {
         scan: Option<&LaserScan>,
         events: &mut Vec<Event>,
     ) {
-        self.poses = self.location.update(input, scan);
+        let before = self.poses.t_map_base();
+        let located = self.location.update(input, scan);
+        self.poses = located.poses;
         if self.config.localization.estimate_camera_latency {
             self.poses.t_odom_base_at_frame =
                 self.camera_time.at_exposure(&self.poses.t_odom_base, &input.wheel.twist);
+        }
+        events.extend(located.wheel_error.map(|how| Event::WheelsContradicted { how }));
+        let was_lost = std::mem::replace(&mut self.whereabouts, located.whereabouts).lost();
+        match (was_lost, located.whereabouts.lost()) {
+            (None, Some(why)) => self.note_lost(why, events),
+            (Some(_), None) => self.note_found(&before, events),
+            _ => {}
         }
         if let Some(moved) = self.map_correction.update(&self.location, &mut self.map) {
             let before = self.poses.t_map_base();
@@ -535,7 +562,9 @@ impl Robot {
 
     /// The safety plane reports places in the frame of wheel odometry.
     fn note_blocked(&mut self, input: &TickInput<'_>) {
-        if let Some([x_m, y_m]) = input.safety.blocked_m {
+        if let Some([x_m, y_m]) = input.safety.blocked_m
+            && self.whereabouts.lost().is_none()
+        {
             let t_map_wheels = self.poses.t_map_base().compose(&input.wheel.odom.inverse());
             self.collision_at = Some(t_map_wheels.transform(x_m, y_m).into());
             self.bumped = true;
@@ -588,7 +617,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, location, camera_time, poses, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, location, camera_time, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.

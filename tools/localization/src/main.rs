@@ -4,6 +4,8 @@
 #![forbid(unsafe_code)]
 
 mod relations;
+mod relocalize;
+mod tour;
 mod trajectory;
 
 use std::path::{Path, PathBuf};
@@ -26,6 +28,9 @@ struct Arguments {
     /// Folder for trajectories and views from above.
     #[arg(long, value_name = "DIR", default_value = "target/localization")]
     out: PathBuf,
+    /// Instead of the logs: trials of finding a lost robot, this many in each simulated home.
+    #[arg(long, value_name = "TRIALS")]
+    relocalize: Option<usize>,
 }
 
 /// A log and what is known about it.
@@ -67,7 +72,10 @@ const COLUMNS: [&str; 9] = [
 ];
 
 fn main() -> Result<()> {
-    let Arguments { logs, out } = Arguments::parse();
+    let Arguments { logs, out, relocalize } = Arguments::parse();
+    if let Some(trials) = relocalize {
+        return find_lost_robots(trials);
+    }
     if !logs.is_dir() {
         println!("skipped: {} is absent, and the logs are not part of the project", logs.display());
         return Ok(());
@@ -76,10 +84,44 @@ fn main() -> Result<()> {
     for case in &CASES {
         rows.extend(measure(case, &logs, &out.join(case.name))?);
     }
-    println!("| {} |\n|{}", COLUMNS.join(" | "), "---|".repeat(COLUMNS.len()));
+    print_table(&COLUMNS, &rows);
+    Ok(())
+}
+
+fn print_table<Row: AsRef<[String]>>(columns: &[&str], rows: &[Row]) {
+    println!("| {} |\n|{}", columns.join(" | "), "---|".repeat(columns.len()));
     for row in rows {
-        println!("| {} |", row.join(" | "));
+        println!("| {} |", row.as_ref().join(" | "));
     }
+}
+
+const TRIAL_COLUMNS: [&str; 7] = [
+    "simulated home",
+    "trials",
+    "found",
+    "with 3 scans",
+    "wrong",
+    "error p50 / max (m)",
+    "seconds p50 / p95",
+];
+
+/// Restarts robots at random places of every home, in its map and in the map of the next home.
+fn find_lost_robots(trials: usize) -> Result<()> {
+    let homes = relocalize::HOMES;
+    let mapped: Vec<_> = homes.iter().map(|home| relocalize::map(home)).collect::<Result<_>>()?;
+    let mut rows = Vec::new();
+    let [mut all, mut others] = [relocalize::Results::default(), relocalize::Results::default()];
+    for (index, home) in homes.iter().enumerate() {
+        let results = relocalize::trials(&mapped[index], &mapped[index], trials)?;
+        rows.push(results.row(home));
+        all.add(&results);
+        let next = &mapped[(index + 1) % homes.len()];
+        others.add(&relocalize::trials(&mapped[index], next, trials.div_ceil(5))?);
+        eprintln!("{}", results.row(home).join("  "));
+    }
+    rows.push(all.row("all"));
+    rows.push(others.row("in the map of another home"));
+    print_table(&TRIAL_COLUMNS, &rows);
     Ok(())
 }
 

@@ -242,6 +242,14 @@ impl SimulatedRobot {
         Ok(Self { shared: Arc::new(Mutex::new(state)) })
     }
 
+    /// Lifts the robot and puts it down at `pose` in the world, whatever stands there. Its wheels do not notice.
+    pub fn carry_to(&self, pose: Pose2) {
+        let mut state = lock(&self.shared);
+        let now_ns = state.now_ns;
+        state.pose = pose;
+        state.trail = Trail::new(now_ns, pose);
+    }
+
     /// Device handles that share this robot.
     #[must_use]
     pub fn devices(&self) -> Devices {

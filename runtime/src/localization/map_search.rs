@@ -1,0 +1,277 @@
+//! Where in the whole map a scan was taken, without any idea of the pose.
+//!
+//! The map is divided into squares that the search grid covers. In each, branch and bound finds the poses where the scan fits
+//! best; each is then refined against the surfaces and examined for surfaces that the scan has seen through. The work is divided
+//! into small steps.
+
+use hal::{Pose2, wrap_angle};
+use serde::{Deserialize, Serialize};
+
+use super::local::found_prior;
+use super::matcher::{Alignment, Surfaces, align};
+use super::scan_points::Stretch;
+use super::search_grid::{Search, SearchGrid, Window};
+use super::seen_through::Sight;
+use super::submaps::Submap;
+
+/// Side of a square at most, metres. The search grid reaches 8 m beyond it.
+const SQUARE_M: f64 = 22.0;
+/// How far from the path of its submaps the robot may stand, metres.
+const REACH_M: f64 = 3.0;
+/// Submaps further from a square than this have no surfaces in the grid, metres.
+const OUTSIDE_M: f64 = 27.0;
+/// Submaps that one step enters.
+const SUBMAPS_PER_STEP: usize = 50;
+/// Operations of entering a submap, and of refining a place, about.
+const SUBMAP_OPERATIONS: u64 = 20_000;
+const REFINE_OPERATIONS: u64 = 300_000;
+/// A place is the right one only if the scan fits like this: share of the scan near known surfaces, share of those on them, how
+/// exactly, and share of the surfaces in sight that were seen through. Moved furniture and people cost some of each.
+const MIN_OVERLAP: f32 = 0.6;
+const MIN_INLIERS: f32 = 0.8;
+const MAX_RMS_M: f32 = 0.04;
+const MAX_CONTRADICTED: f32 = 0.2;
+/// A pose whose position along some direction is less certain than this is one of many, metres: a corridor.
+const MAX_DEVIATION_M: f64 = 0.08;
+/// A rival with this share of the best one's score makes both doubtful. It is another pose if it is further away than this.
+const RIVAL_SHARE: f32 = 0.85;
+const RIVAL_M: f64 = 0.2;
+const RIVAL_RAD: f64 = 0.08;
+
+/// The submaps with their poses in `map`.
+#[derive(Clone, Copy)]
+pub(crate) struct KnownMap<'a> {
+    pub submaps: &'a [Submap],
+    pub poses: &'a [Pose2],
+}
+
+/// A pose in `map` where the scan fits.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Candidate {
+    pub pose: Pose2,
+    is_good: bool,
+    /// Share of the scan on known surfaces, times the share of surfaces in sight that it did not see through.
+    score: f32,
+}
+
+/// The result of a search.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Outcome {
+    /// One pose fits, and no other does nearly as well.
+    Here(Pose2),
+    /// Several poses fit.
+    Several,
+    /// No pose fits well enough.
+    Nowhere,
+}
+
+/// A search in progress.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct MapQuery {
+    /// The scan, in the robot's frame.
+    stretches: Vec<Stretch>,
+    square: u32,
+    /// Submaps that have been entered into the square.
+    entered: u32,
+    search: Option<Search>,
+    candidates: Vec<Candidate>,
+    is_done: bool,
+}
+
+impl MapQuery {
+    pub(crate) fn new(stretches: &[Stretch]) -> Self {
+        Self {
+            stretches: stretches.to_vec(),
+            square: 0,
+            entered: 0,
+            search: None,
+            candidates: Vec::new(),
+            is_done: false,
+        }
+    }
+
+    pub(crate) fn is_done(&self) -> bool {
+        self.is_done
+    }
+
+    /// What was found, when the search is done.
+    pub(crate) fn outcome(&self) -> Outcome {
+        let good = self.candidates.iter().filter(|candidate| candidate.is_good);
+        let Some(best) = good.max_by(|a, b| a.score.total_cmp(&b.score)) else {
+            return Outcome::Nowhere;
+        };
+        let is_rival = |other: &Candidate| {
+            other.score > RIVAL_SHARE * best.score && !is_same_pose(&other.pose, &best.pose)
+        };
+        if self.candidates.iter().any(is_rival) {
+            Outcome::Several
+        } else {
+            Outcome::Here(best.pose)
+        }
+    }
+}
+
+/// Searches. Its memory follows from the query and the submaps.
+pub(crate) struct MapSearch {
+    t_base_laser: Pose2,
+    grid: SearchGrid,
+    surfaces: Surfaces,
+    /// Square, and the submaps that grid and surfaces hold.
+    made: Option<(u32, usize)>,
+    is_finished: bool,
+}
+
+impl MapSearch {
+    pub(crate) fn new(t_base_laser: Pose2) -> Self {
+        Self {
+            t_base_laser,
+            grid: SearchGrid::new(),
+            surfaces: Surfaces::new(),
+            made: None,
+            is_finished: false,
+        }
+    }
+
+    /// The map has changed, or the query was restored: grid and surfaces are of another one.
+    pub(crate) fn forget(&mut self) {
+        self.made = None;
+    }
+
+    /// Goes on with a query. Returns the operations that it took.
+    pub(crate) fn step(&mut self, query: &mut MapQuery, map: &KnownMap<'_>) -> u64 {
+        let Some(squares) = Squares::of(map) else {
+            query.is_done = true;
+            return 1;
+        };
+        if query.square >= squares.count() {
+            query.is_done = true;
+            return 1;
+        }
+        let window = squares.window(query.square);
+        if (query.entered as usize) < map.submaps.len() {
+            let until = (query.entered as usize + SUBMAPS_PER_STEP).min(map.submaps.len());
+            let before = query.entered as usize;
+            query.entered = until as u32;
+            self.enter(query.square, &window.middle, until, map);
+            return (until - before) as u64 * SUBMAP_OPERATIONS;
+        }
+        self.enter(query.square, &window.middle, map.submaps.len(), map);
+        self.finish();
+        self.search(query, &window)
+    }
+
+    /// Enters submaps into grid and surfaces until they hold the first `until`.
+    fn enter(&mut self, square: u32, middle: &Pose2, until: usize, map: &KnownMap<'_>) {
+        let mut from = match self.made {
+            Some((made_for, entered)) if made_for == square => entered,
+            _ => 0,
+        };
+        if from == 0 {
+            self.grid.clear();
+            self.surfaces.clear([middle.x_m, middle.y_m]);
+        }
+        let to_middle = Pose2::new(-middle.x_m, -middle.y_m, 0.0);
+        while from < until {
+            let pose = map.poses[from];
+            if pose.distance_m(middle) < OUTSIDE_M {
+                let stretches = &map.submaps[from].stretches;
+                self.grid.insert(stretches, &to_middle.compose(&pose));
+                self.surfaces.insert(stretches, &pose);
+            }
+            from += 1;
+            self.is_finished = false;
+        }
+        self.made = Some((square, from));
+    }
+
+    fn finish(&mut self) {
+        if !self.is_finished {
+            self.grid.finish();
+            self.is_finished = true;
+        }
+    }
+
+    fn search(&mut self, query: &mut MapQuery, window: &Window) -> u64 {
+        let Pose2 { x_m, y_m, .. } = window.middle;
+        let in_grid = Window { middle: Pose2::IDENTITY, ..*window };
+        let search = query.search.get_or_insert_with(|| Search::new(in_grid));
+        if !search.is_done() {
+            self.grid.set_query(&query.stretches);
+            return self.grid.step(search) + 1000;
+        }
+        let sight = Sight::new(&query.stretches, &self.t_base_laser);
+        let mut operations = 1;
+        for place in search.places() {
+            let pose = Pose2::new(x_m, y_m, 0.0).compose(&place.pose);
+            let refined = align(&self.surfaces, &query.stretches, &found_prior(&pose));
+            let candidate = refined.map(|alignment| self.candidate(&alignment, &sight));
+            query.candidates.extend(candidate);
+            operations += REFINE_OPERATIONS;
+        }
+        query.search = None;
+        query.entered = 0;
+        query.square += 1;
+        operations
+    }
+
+    fn candidate(&self, alignment: &Alignment, sight: &Sight) -> Candidate {
+        let fit = &alignment.fit;
+        let contradicted = sight.contradicted(&self.surfaces.fine, &alignment.pose);
+        let covariance = alignment.information.try_inverse();
+        let is_certain = covariance.is_some_and(|covariance| {
+            let variance = covariance[(0, 0)] + covariance[(1, 1)];
+            (0.0..MAX_DEVIATION_M * MAX_DEVIATION_M).contains(&variance)
+        });
+        let is_good = is_certain
+            && fit.overlap >= MIN_OVERLAP
+            && fit.inliers >= MIN_INLIERS
+            && fit.rms_m <= MAX_RMS_M
+            && contradicted <= MAX_CONTRADICTED;
+        Candidate { pose: alignment.pose, is_good, score: fit.share() * (1.0 - contradicted) }
+    }
+}
+
+fn is_same_pose(a: &Pose2, b: &Pose2) -> bool {
+    a.distance_m(b) < RIVAL_M && wrap_angle(a.yaw_rad - b.yaw_rad).abs() < RIVAL_RAD
+}
+
+/// The squares that cover the map.
+struct Squares {
+    low: [f64; 2],
+    sides: [f64; 2],
+    counts: [u32; 2],
+}
+
+impl Squares {
+    /// `None` without submaps.
+    fn of(map: &KnownMap<'_>) -> Option<Self> {
+        let first = map.poses.first()?;
+        let mut low = [first.x_m, first.y_m];
+        let mut high = low;
+        for pose in map.poses {
+            for (axis, value) in [pose.x_m, pose.y_m].into_iter().enumerate() {
+                low[axis] = low[axis].min(value);
+                high[axis] = high[axis].max(value);
+            }
+        }
+        let extents = [0, 1].map(|axis| high[axis] - low[axis] + 2.0 * REACH_M);
+        let counts = extents.map(|extent_m| (extent_m / SQUARE_M).ceil() as u32);
+        let sides = [0, 1].map(|axis| extents[axis] / f64::from(counts[axis]));
+        Some(Self { low: low.map(|low| low - REACH_M), sides, counts })
+    }
+
+    fn count(&self) -> u32 {
+        self.counts[0] * self.counts[1]
+    }
+
+    /// In `map`, with every heading.
+    fn window(&self, square: u32) -> Window {
+        let place = [square % self.counts[0], square / self.counts[0]].map(f64::from);
+        let [x, y] = [0, 1].map(|axis| self.low[axis] + (place[axis] + 0.5) * self.sides[axis]);
+        Window {
+            middle: Pose2::new(x, y, 0.0),
+            half_m: self.sides.map(|side_m| 0.5 * side_m),
+            radians: std::f64::consts::PI,
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! Wheels and scans that report different motions, while the scans keep the pose.
+
+use hal::{Pose2, wrap_angle};
+use serde::{Deserialize, Serialize};
+
+/// Share of the sums that remains at the next scan: a memory of about ten scans, a second at 10 Hz.
+const MEMORY: f64 = 0.9;
+/// Differences of this size are no noise of wheels, metres and radians.
+const MOST_M: f64 = 0.1;
+const MOST_RAD: f64 = 0.15;
+/// And they are larger than this share of what the wheels report: a wrong radius or track is less.
+const MOST_SHARE: f64 = 0.5;
+
+/// Wheels that spin report at least this share of what the scans take back.
+const SPIN_SHARE: f64 = 0.7;
+
+/// How the wheels contradict the scans.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum WheelError {
+    /// The wheels move and the robot does not follow them.
+    Spin,
+    /// The robot moves and its wheels do not: it is pushed or carried.
+    Pushed,
+}
+
+/// Compares the wheels with the scans.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(crate) struct Slip {
+    /// The pose in `odom` that the last scan gave.
+    last: Option<Pose2>,
+    /// Fading sums: what the scans report more than the wheels, and what the wheels report.
+    more: Sums,
+    wheels: Sums,
+    is_reported: bool,
+}
+
+/// Sums of motions in the robot's frame.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+struct Sums {
+    x_m: f64,
+    y_m: f64,
+    yaw_rad: f64,
+}
+
+impl Sums {
+    fn add(&mut self, motion: &Pose2) {
+        self.x_m = MEMORY * self.x_m + motion.x_m;
+        self.y_m = MEMORY * self.y_m + motion.y_m;
+        self.yaw_rad = MEMORY * self.yaw_rad + wrap_angle(motion.yaw_rad);
+    }
+
+    fn length_m(&self) -> f64 {
+        self.x_m.hypot(self.y_m)
+    }
+}
+
+impl Slip {
+    /// The wheels predicted one pose and the scan corrected it to another. Returns an error of the wheels once, when it begins.
+    pub(crate) fn observe(&mut self, predicted: &Pose2, corrected: &Pose2) -> Option<WheelError> {
+        let last = self.last.replace(*corrected)?;
+        let wheels = last.inverse().compose(predicted);
+        let scans = last.inverse().compose(corrected);
+        self.wheels.add(&wheels);
+        self.more.add(&Pose2::new(
+            scans.x_m - wheels.x_m,
+            scans.y_m - wheels.y_m,
+            scans.yaw_rad - wheels.yaw_rad,
+        ));
+        let shifted = is_beyond(self.more.length_m(), MOST_M, MOST_SHARE * self.wheels.length_m());
+        let rotated =
+            is_beyond(self.more.yaw_rad.abs(), MOST_RAD, MOST_SHARE * self.wheels.yaw_rad.abs());
+        let was_reported = self.is_reported;
+        self.is_reported = shifted || rotated;
+        (self.is_reported && !was_reported).then(|| self.kind(shifted))
+    }
+
+    /// Wheels that spin report what the scans take back.
+    fn kind(&self, shifted: bool) -> WheelError {
+        let [wheels, more] = [self.wheels, self.more];
+        let (reported, taken_back, size) = if shifted {
+            (wheels.x_m, -more.x_m, more.length_m())
+        } else {
+            (wheels.yaw_rad, -more.yaw_rad, more.yaw_rad.abs())
+        };
+        let spins = reported * taken_back > 0.0 && reported.abs() > SPIN_SHARE * size;
+        if spins { WheelError::Spin } else { WheelError::Pushed }
+    }
+}
+
+fn is_beyond(value: f64, bound: f64, other_bound: f64) -> bool {
+    value > bound && value > other_bound
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The errors that are reported when the wheels report `wheels` per scan and the robot moves by `truth`.
+    fn reported(wheels: &Pose2, truth: &Pose2, scans: usize) -> Vec<WheelError> {
+        let mut slip = Slip::default();
+        let mut pose = Pose2::IDENTITY;
+        let mut errors = Vec::new();
+        for _ in 0..scans {
+            let predicted = pose.compose(wheels);
+            pose = pose.compose(truth);
+            errors.extend(slip.observe(&predicted, &pose));
+        }
+        errors
+    }
+
+    #[test]
+    fn wheels_that_spin_and_a_robot_that_is_pushed_are_distinguished_and_reported_once() {
+        let forward = Pose2::new(0.03, 0.0, 0.0);
+        let rotation = Pose2::new(0.0, 0.0, 0.035);
+        for motion in [forward, rotation] {
+            assert_eq!(reported(&motion, &Pose2::IDENTITY, 30), [WheelError::Spin]);
+            assert_eq!(reported(&Pose2::IDENTITY, &motion, 30), [WheelError::Pushed]);
+        }
+        let sideways = Pose2::new(0.0, 0.03, 0.0);
+        assert_eq!(reported(&Pose2::IDENTITY, &sideways, 30), [WheelError::Pushed]);
+    }
+
+    #[test]
+    fn a_wrong_radius_and_a_wrong_track_are_not_reported() {
+        for [metres, radians] in [[0.03, 0.0], [0.3, 0.0], [0.0, 0.035], [0.2, 0.3]] {
+            let wheels = Pose2::new(1.1 * metres, 0.0, 1.1 * radians);
+            assert_eq!(reported(&wheels, &Pose2::new(metres, 0.0, radians), 50), []);
+        }
+    }
+}

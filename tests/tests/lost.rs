@@ -1,0 +1,93 @@
+//! Robots that are carried while they explore, in simulated homes and virtual time.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+
+use hal::{Pose2, wrap_angle};
+use hil::{Scenario, Tick};
+use runtime::event::{Event, SafetyEvent};
+use runtime::exploration::PolicyKind;
+use runtime::localization::{LostReason, Whereabouts};
+use runtime::safety::Request;
+
+/// Explores for half a minute. Returns `t_map_world` and the robot's true poses.
+fn explore(scenario: &mut Scenario) -> (Pose2, Vec<Pose2>) {
+    let ticks = scenario.ticks(300).unwrap();
+    assert!(ticks.iter().all(|tick| tick.decision.lost.is_none()));
+    let t_map_world = ticks[0].decision.t_map_base().compose(&ticks[0].pose.inverse());
+    (t_map_world, ticks.iter().map(|tick| tick.pose).collect())
+}
+
+/// The earlier place that is furthest away, with another heading.
+fn elsewhere(poses: &[Pose2]) -> Pose2 {
+    let here = poses[poses.len() - 1];
+    let far = |pose: &&Pose2| pose.distance_m(&here);
+    let pose = poses.iter().max_by(|a, b| far(a).total_cmp(&far(b))).unwrap();
+    Pose2 { yaw_rad: wrap_angle(pose.yaw_rad + 2.0), ..*pose }
+}
+
+/// Ticks until the robot is found. A person arms it when the safety plane asks for one.
+fn until_found(scenario: &mut Scenario, most: usize) -> Vec<Tick> {
+    let mut ticks = Vec::new();
+    let mut was_lost = false;
+    for _ in 0..most {
+        let tick = scenario.tick().unwrap();
+        let needs_person = tick.decision.events.iter().any(|event| {
+            matches!(event, Event::Safety { what: SafetyEvent::Faulted { why } } if why.needs_person())
+        });
+        if needs_person {
+            scenario.request(Request::ClearFault);
+            scenario.tick().unwrap();
+            scenario.request(Request::Arm);
+        }
+        was_lost |= tick.decision.lost.is_some();
+        let is_found = was_lost && tick.decision.lost.is_none();
+        ticks.push(tick);
+        if is_found {
+            break;
+        }
+    }
+    ticks
+}
+
+fn assert_right(tick: &Tick, t_map_world: &Pose2) {
+    let truth = t_map_world.compose(&tick.pose);
+    let error = truth.inverse().compose(&tick.decision.t_map_base());
+    let radians = wrap_angle(error.yaw_rad).abs();
+    assert!(error.x_m.hypot(error.y_m) < 0.15 && radians < 0.087, "{error:?}");
+}
+
+#[test]
+fn a_robot_that_is_lifted_and_put_elsewhere_stops_rotates_finds_itself_and_explores_on() {
+    let mut scenario = Scenario::new(PolicyKind::Active, &[], 3).unwrap().shadowed().unwrap();
+    let (t_map_world, poses) = explore(&mut scenario);
+    scenario.carry_to(elsewhere(&poses));
+    let ticks = until_found(&mut scenario, 400);
+    let lost: Vec<_> = ticks.iter().filter(|tick| tick.decision.lost.is_some()).collect();
+    assert!(!lost.is_empty());
+    for tick in &lost {
+        assert!(tick.decision.desired.linear_mps == 0.0 && tick.decision.map_digest == 0);
+        assert!(tick.decision.depth_digest == 0);
+    }
+    let last = ticks.last().unwrap();
+    assert!(last.decision.events.iter().any(|event| matches!(event, Event::Found { .. })));
+    assert_right(last, &t_map_world);
+    let after = scenario.ticks(100).unwrap();
+    assert!(after.iter().all(|tick| tick.decision.lost.is_none()));
+    assert!(after.iter().any(|tick| tick.decision.desired.linear_mps > 0.0));
+    assert_right(after.last().unwrap(), &t_map_world);
+}
+
+#[test]
+fn a_robot_that_is_started_in_a_saved_map_of_this_home_finds_itself() {
+    let mut scenario = Scenario::new(PolicyKind::Active, &[], 4).unwrap();
+    let (t_map_world, poses) = explore(&mut scenario);
+    let known = scenario.robot().map().known_cells().count();
+    scenario.robot_mut().lose(LostReason::Loaded);
+    scenario.carry_to(elsewhere(&poses));
+    let ticks = until_found(&mut scenario, 400);
+    let first = &ticks[0].decision;
+    assert_eq!(first.lost, Some(LostReason::Loaded));
+    assert!(first.events.contains(&Event::Lost { why: LostReason::Loaded }));
+    assert_eq!(scenario.robot().whereabouts(), Whereabouts::Localized);
+    assert_right(ticks.last().unwrap(), &t_map_world);
+    assert!(scenario.robot().map().known_cells().count() >= known);
+}
