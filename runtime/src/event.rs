@@ -59,6 +59,8 @@ pub enum Event {
         /// How far the robot's own place in `map` moved, metres.
         shift_m: f64,
     },
+    /// No frontier is left that the robot can reach: all floor that it can reach has been seen. It comes once.
+    Explored,
     /// The policy changed the way in which it chooses goals.
     PolicySwitched {
         /// The new way.
@@ -80,6 +82,10 @@ pub enum GoalReason {
     LookAgain,
     /// Nothing else is left; a distant known place is observed again from elsewhere.
     Revisit,
+    /// The operator asked for it.
+    Task,
+    /// The robot returns to where the run began.
+    Return,
 }
 
 /// Why a goal was given up.
@@ -99,6 +105,8 @@ pub enum DropReason {
     PolicySwitched,
     /// The time for one goal is used up.
     Timeout,
+    /// The operator gave another task.
+    Task,
 }
 
 /// Why no goal could be chosen.

@@ -18,6 +18,7 @@ use runtime::tick::{Decision, TickInput};
 use super::live_devices::LiveDevices;
 use super::status::ExplorationStatus;
 use crate::config::Config;
+use crate::map::KeptMap;
 use crate::model::LiveModels;
 use crate::record::{Recorder, recorded_views, snapshot};
 use crate::report::events::EventCounts;
@@ -110,6 +111,8 @@ impl Exploration {
 pub struct RunLog {
     /// The recording, to be finished.
     pub recorder: Option<Recorder>,
+    /// The map that the run began with and leaves behind.
+    pub map: Option<KeptMap>,
     /// Signed models that arrive while the robot drives.
     models: Option<LiveModels>,
     /// How well the depth agrees with the LiDAR.
@@ -142,6 +145,7 @@ impl RunLog {
     fn new(config: &Config, recorder: Option<Recorder>, models: Option<LiveModels>) -> Self {
         Self {
             recorder,
+            map: None,
             models,
             line: setup::lidar_agreement(config),
             stopwatch: Stopwatch::default(),
@@ -217,6 +221,9 @@ impl Observer for RunLog {
     }
 
     fn before(&mut self, robot: &mut Robot, input: &TickInput<'_>) -> Result<()> {
+        if let (Some(map), Some(scan)) = (&self.map, input.scan) {
+            map.check(&scan.geometry)?;
+        }
         if let Some(models) = &mut self.models {
             models.before(robot, input.time_ns);
         }

@@ -61,6 +61,11 @@ impl MapCorrection {
         self.in_force
     }
 
+    /// Number of sections of the map: one for each submap.
+    pub(super) fn sections(&self) -> usize {
+        self.drawn.len()
+    }
+
     /// Goes on with the map's correction. Returns how the map moved in the tick in which it is exchanged.
     pub(super) fn update(&mut self, location: &Location, map: &mut OccupancyGrid) -> Option<Moved> {
         if self.work.is_none() {

@@ -2,6 +2,10 @@
 
 mod location;
 mod map_correction;
+mod saved_map;
+#[cfg(test)]
+mod saved_map_tests;
+mod wheel_frame;
 
 use std::collections::VecDeque;
 
@@ -23,8 +27,10 @@ use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
 use crate::tick::{Decision, SentCommand, TickInput};
 use location::Location;
 use map_correction::MapCorrection;
+use wheel_frame::WheelFrame;
 
 pub use location::TickPoses;
+pub use saved_map::{MAP_STATE_VERSION, MapStateError, SavedMap};
 
 /// Where the depth that goes into the map comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -149,6 +155,7 @@ pub struct Robot {
     truth: DepthEstimate,
     has_depth: HasDepth,
     location: Location,
+    wheel_frame: WheelFrame,
     poses: TickPoses,
     map_correction: MapCorrection,
     map: OccupancyGrid,
@@ -191,6 +198,7 @@ impl Robot {
                 config.localization.clone(),
                 Pose2::new(config.laser_forward_m, 0.0, 0.0),
             )?,
+            wheel_frame: WheelFrame::default(),
             poses: TickPoses::START,
             map_correction: MapCorrection::default(),
             map: OccupancyGrid::new(&config.map)?,
@@ -284,6 +292,9 @@ impl Robot {
     pub(crate) fn tick(&mut self, input: &TickInput<'_>, timer: &mut impl StageTimer) -> Decision {
         let mut events = Vec::new();
         events.extend(self.new_network.take());
+        if let Some(task) = input.task {
+            self.explorer.begin(task, &mut events);
+        }
         if let Some(why) = self.refusal(input) {
             events.push(Event::InputRefused { why });
             return self.stop(input, events);
@@ -485,7 +496,7 @@ impl Robot {
         scan: Option<&LaserScan>,
         events: &mut Vec<Event>,
     ) {
-        self.poses = self.location.update(input, scan);
+        self.poses = self.location.update(&self.wheel_frame.apply(input), scan);
         if let Some(moved) = self.map_correction.update(&self.location, &mut self.map) {
             let before = self.poses.t_map_base();
             events.push(Event::MapCorrected { shift_m: moved.shift_m(&before) });
@@ -562,7 +573,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, location, poses, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, location, wheel_frame, poses, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.
