@@ -133,7 +133,7 @@ fn a_map_is_shown_and_exported_for_other_programs() {
     assert!(read("from_file", "map.png").len() > 1000);
     let pgm = read("from_file", "map.pgm");
     let header = text(&pgm[..pgm.iter().position(|byte| *byte == b'\n').unwrap() + 20]);
-    let mut numbers = header.split_whitespace().skip(1).map(|word| word.parse::<usize>());
+    let mut numbers = header.split_whitespace().skip(1).map(str::parse::<usize>);
     let [width, height] = [(); 2].map(|()| numbers.next().unwrap().unwrap());
     let pixels = &pgm[pgm.len() - width * height..];
     assert!(pixels.iter().all(|pixel| [0, 205, 254].contains(pixel)));
