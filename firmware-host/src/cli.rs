@@ -45,6 +45,12 @@ pub enum Command {
     Run(RunArgs),
     /// Show the state of the running robot on one screen. Exits with 1 if it is unhealthy.
     Health(HealthArgs),
+    /// Send the running robot to a place in its map. It stands there until `resume`.
+    GoTo(GoToArgs),
+    /// Send the running robot back to where its run began. It stands there until `resume`.
+    Return(TaskArgs),
+    /// Let the running robot explore again.
+    Resume(TaskArgs),
     /// Measure the camera's latency from a recorded run and print the configuration for it.
     ///
     /// The latency is the time from the capture of a frame to its time stamp.
@@ -54,6 +60,8 @@ pub enum Command {
     /// Reads CARMEN logs (FLASER, ODOM, ROBOTLASER1) and the .dat form of a URG-04LX, compressed by
     /// gzip or not.
     Localize(LocalizeArgs),
+    /// Save, show and export maps of homes.
+    Map(MapArgs),
     /// Install, list, verify and roll back signed depth networks.
     Model(ModelArgs),
     /// Check a configuration file and print every value in effect, or check the connected devices.
@@ -104,6 +112,20 @@ pub struct ExploreArgs {
     /// Start pose in the scene: x and y in metres, heading in degrees [default: chosen from the seed].
     #[arg(long, value_name = "X,Y,DEG", allow_hyphen_values = true, value_parser = parse_start)]
     pub start: Option<[f64; 3]>,
+    /// Map of the home. It is loaded if the file exists, and the file is replaced with the new map when
+    /// the run ends.
+    #[arg(long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
+    /// GeoJSON file with polygons that the robot must not enter, in metres of the frame `map`.
+    #[arg(long, value_name = "FILE")]
+    pub keep_out: Option<PathBuf>,
+    /// Drive to a place in the frame `map` first, X and Y in metres, and stand there.
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, value_parser = parse_place)]
+    pub go_to: Option<[f64; 2]>,
+    /// End the run when all floor that the robot can reach has been seen, and the robot is back at its
+    /// start if exploration.return_to_start is set.
+    #[arg(long)]
+    pub until_done: bool,
     #[command(flatten)]
     pub scene_file: SceneFileArgs,
     /// Do not record the run. It cannot be replayed then.
@@ -212,6 +234,13 @@ pub struct RunArgs {
     /// Status file that `health` reads [default: run.status_file of the configuration].
     #[arg(long, value_name = "FILE")]
     pub status: Option<PathBuf>,
+    /// Map of the home. It is loaded if the file exists, and the file is replaced with the new map when
+    /// the run ends.
+    #[arg(long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
+    /// GeoJSON file with polygons that the robot must not enter, in metres of the frame `map`.
+    #[arg(long, value_name = "FILE")]
+    pub keep_out: Option<PathBuf>,
     /// Do not record the run. It cannot be replayed then.
     #[arg(long)]
     pub no_recording: bool,
@@ -231,6 +260,24 @@ pub struct HealthArgs {
     /// Update the screen every 0.5 s until interrupted.
     #[arg(long, conflicts_with = "json")]
     pub watch: bool,
+}
+
+/// Arguments of `firmware-host go-to`.
+#[derive(Debug, Args)]
+pub struct GoToArgs {
+    /// Place in the frame `map`, metres.
+    #[arg(value_name = "X,Y", allow_hyphen_values = true, value_parser = parse_place)]
+    pub place: [f64; 2],
+    #[command(flatten)]
+    pub task: TaskArgs,
+}
+
+/// Where the running robot takes its tasks from.
+#[derive(Debug, Args)]
+pub struct TaskArgs {
+    /// Task file of the running robot (run.task_file of its configuration).
+    #[arg(long, value_name = "FILE", default_value = "/run/embodied-depth/task.json")]
+    pub task_file: PathBuf,
 }
 
 /// Arguments of `firmware-host perceive`.
@@ -269,6 +316,44 @@ pub struct LocalizeArgs {
     /// missing.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+}
+
+/// Arguments of `firmware-host map`.
+#[derive(Debug, Args)]
+pub struct MapArgs {
+    #[command(subcommand)]
+    pub task: MapTask,
+}
+
+/// Subcommands of `map`.
+#[derive(Debug, Subcommand)]
+pub enum MapTask {
+    /// Save the map at the end of a recorded run.
+    Save {
+        /// Recorded run: the --out folder of a run, or one .mcap file.
+        run: PathBuf,
+        /// File to write, such as home.map. It must not exist yet.
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+        #[command(flatten)]
+        models: RunModels,
+    },
+    /// Write a map for other programs: map.yaml and map.pgm (ROS map_server), map.png, walls.geojson.
+    Export {
+        /// Map file, or a recorded run.
+        #[arg(value_name = "FILE|RUN")]
+        from: PathBuf,
+        /// Output folder. It is created if it is missing.
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+        #[command(flatten)]
+        models: RunModels,
+    },
+    /// Show age, size and content of a map file.
+    Show {
+        /// Map file.
+        file: PathBuf,
+    },
 }
 
 /// Arguments of `firmware-host replay`.
@@ -500,6 +585,15 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 fn parse_scale(text: &str) -> Result<f64, String> {
     let scale = text.parse::<f64>().ok().filter(|scale| *scale > 0.0 && scale.is_finite());
     scale.ok_or_else(|| format!("`{text}` is not a number above 0"))
+}
+
+fn parse_place(text: &str) -> Result<[f64; 2], String> {
+    let numbers: Result<Vec<f64>, _> =
+        text.split(',').map(|part| part.trim().parse::<f64>()).collect();
+    match numbers.as_deref() {
+        Ok([x_m, y_m]) if x_m.is_finite() && y_m.is_finite() => Ok([*x_m, *y_m]),
+        _ => Err(format!("`{text}` is not two numbers such as 1.5,-2")),
+    }
 }
 
 fn parse_start(text: &str) -> Result<[f64; 3], String> {

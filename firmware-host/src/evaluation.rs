@@ -3,6 +3,7 @@
 use hal::{DepthMap, Pose2};
 use runtime::accuracy::{Accuracy, ConstantBaseline, SizeMismatch};
 use runtime::event::{DropReason, Event, SafetyEvent};
+use runtime::mapping::{Cell, OccupancyGrid};
 use runtime::robot::{Robot, TickPoses};
 use runtime::tick::Decision;
 
@@ -83,6 +84,7 @@ impl Evaluation {
         if let Some(last) = self.poses.last() {
             self.path_m += last.truth.distance_m(&truth.pose);
         }
+        let is_first = self.poses.is_empty();
         let believed = robot.poses();
         self.poses.push(PosePair {
             truth: truth.pose,
@@ -92,7 +94,14 @@ impl Evaluation {
         self.collisions += u64::from(truth.contact && !self.in_contact);
         self.in_contact = truth.contact;
         self.count_events(decision, believed);
-        self.mark_coverage(robot, &truth.pose.compose(&believed.t_map_base().inverse()));
+        let t_world_map = truth.pose.compose(&believed.t_map_base().inverse());
+        let map = robot.map();
+        if is_first {
+            // Of a loaded map, all that was known before.
+            self.mark_coverage(map, map.known_cells().map(|(cell, _)| cell), &t_world_map);
+        } else {
+            self.mark_coverage(map, map.newly_known().iter().copied(), &t_world_map);
+        }
         Ok(())
     }
 
@@ -135,11 +144,15 @@ impl Evaluation {
 
     /// Marks what became known at the place that was really observed, whatever the drift of the
     /// map: `t_world_map` is where the map would have to be for the robot to be where it is.
-    fn mark_coverage(&mut self, robot: &Robot, t_world_map: &Pose2) {
+    fn mark_coverage(
+        &mut self,
+        map: &OccupancyGrid,
+        cells: impl Iterator<Item = Cell>,
+        t_world_map: &Pose2,
+    ) {
         let Some(coverage) = &mut self.coverage else { return };
-        let map = robot.map();
-        for cell in map.newly_known() {
-            let [x_m, y_m] = map.center_m(*cell);
+        for cell in cells {
+            let [x_m, y_m] = map.center_m(cell);
             let (x_m, y_m) = t_world_map.transform(x_m, y_m);
             coverage.mark(x_m, y_m, map.cell_m());
         }

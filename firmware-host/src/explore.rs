@@ -12,12 +12,15 @@ use drivers::fault::Faults;
 use hal::{Clock, Pose2};
 use runtime::recording::RunHeader;
 use runtime::robot::Robot;
+use runtime::task::Task;
 use simulator::{SimulatedRobot, World};
 
 use crate::cli::ExploreArgs;
 use crate::config::Config;
 use crate::dump::Dump;
 use crate::faults::FaultPlan;
+use crate::keep_out;
+use crate::map::KeptMap;
 use crate::model::{Keeper, LiveModels};
 use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions, refuse_old_recording};
 use crate::report::atomic::prepare_dir;
@@ -34,6 +37,7 @@ use session::Exploration;
 /// reason `output_failed`.
 pub fn run(args: &ExploreArgs) -> Result<()> {
     let mut config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
+    keep_out::close(args.keep_out.as_deref(), args.policy.into(), &mut config)?;
     config.simulator.odometry = args.odometry.unwrap_or(config.simulator.odometry);
     let mut stored = args
         .model_store
@@ -57,12 +61,16 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
         std::sync::Arc::new(world),
         simulation::simulated_robot(&config, args.seed, start),
     )?;
-    let robot = Robot::new(config.robot(&mission), network)?;
+    let mut robot = Robot::new(config.robot(&mission), network)?;
+    let map =
+        args.map.as_deref().map(|path| KeptMap::open(path, &mut robot, &config)).transpose()?;
     prepare_dir(&args.out)?;
     // This is checked without a recording, too: the summary of another run would be overwritten.
     refuse_old_recording(&args.out)?;
     let plan = args.faults.plan(args.frames as f64 * config.base.tick_s());
+    let loaded_map = map.as_ref().and_then(KeptMap::loaded).map(ToOwned::to_owned);
     let header = header(args, &config, &mission, model.as_deref(), &plan)?;
+    let header = RunHeader { loaded_map, ..header };
     let (texts, fault_seed) = (plan.texts(), plan.seed());
     let clock = simulated.devices().clock;
     let faults = plan.at(std::sync::Arc::new(move || clock.now_ns()));
@@ -85,6 +93,7 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let hand_over = HandOver::new(&args.hand_over, &config)?;
     let mut exploration = Exploration::new(args, &config, &simulated, &faults, robot, recorder);
     exploration.log.dump = dump;
+    exploration.log.map = map;
     exploration.hand_over = hand_over;
     exploration.log.models =
         stored.map(|(keeper, start)| LiveModels::direct(keeper, start, &config));
@@ -97,10 +106,16 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
             &config.camera.mount(),
         )?);
     }
+    if let Some([x_m, y_m]) = args.go_to {
+        exploration.give(Task::GoTo { x_m, y_m })?;
+    }
     let end = exploration.explore()?;
+    // The report comes also if the map cannot be saved.
+    let saved = exploration.save_map();
     exploration
         .report(end, summary)
-        .with_context(|| format!("cannot report into {}", args.out.display()))
+        .with_context(|| format!("cannot report into {}", args.out.display()))?;
+    saved
 }
 
 fn header(
@@ -130,5 +145,11 @@ fn recorder(
         images: config.recording.images,
         ..RecorderOptions::simulation(&args.out)
     };
-    Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)
+    let begins_with_memory = header.loaded_map.is_some();
+    let disk = Box::new(FaultyDisk::new(FileSystem, faults));
+    let mut recorder = Recorder::start_on(disk, options, header)?;
+    if begins_with_memory {
+        recorder.begin_with_snapshot();
+    }
+    Ok(recorder)
 }

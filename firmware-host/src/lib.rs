@@ -16,7 +16,9 @@ pub mod explore;
 pub mod failure;
 pub mod faults;
 pub mod health;
+pub mod keep_out;
 pub mod localize;
+pub mod map;
 pub mod model;
 pub mod onnx_runtime;
 pub mod perceive;
@@ -33,5 +35,6 @@ pub mod setup;
 #[cfg(feature = "simulator")]
 pub mod simulation;
 pub mod stopwatch;
+pub mod task;
 #[cfg(feature = "simulator")]
 pub mod views;

@@ -4,15 +4,17 @@ use std::io::IsTerminal;
 use std::os::unix::process::CommandExt;
 use std::process::{Command, ExitCode};
 
+use anyhow::Result;
 use clap::Parser;
-use firmware_host::cli::{Cli, Command as Task};
+use firmware_host::cli::{Cli, Command as Subcommand, TaskArgs};
 use firmware_host::config::ConfigError;
 use firmware_host::{
-    buffer, camera_latency, check, failure, health, localize, model, perceive, replay_run,
-    reproduce, run,
+    buffer, camera_latency, check, failure, health, localize, map, model, perceive, replay_run,
+    reproduce, run, task,
 };
 #[cfg(feature = "simulator")]
 use firmware_host::{explore, views};
+use runtime::task::Task;
 
 /// Exit code if the command failed.
 const FAILED: u8 = 1;
@@ -32,24 +34,35 @@ fn main() -> ExitCode {
         .init();
     let result = match cli.command {
         #[cfg(feature = "simulator")]
-        Task::Explore(args) => explore::run(&args).map(|()| ExitCode::SUCCESS),
-        Task::Perceive(args) => perceive::run(&args).map(|()| ExitCode::SUCCESS),
-        Task::Replay(args) => replay_run::run(&args),
-        Task::Reproduce(args) => reproduce::run(&args),
+        Subcommand::Explore(args) => explore::run(&args).map(|()| ExitCode::SUCCESS),
+        Subcommand::Perceive(args) => perceive::run(&args).map(|()| ExitCode::SUCCESS),
+        Subcommand::Replay(args) => replay_run::run(&args),
+        Subcommand::Reproduce(args) => reproduce::run(&args),
         #[cfg(feature = "simulator")]
-        Task::Views(args) => views::run(&args).map(|()| ExitCode::SUCCESS),
-        Task::Run(args) => run::run(&args).map(|()| ExitCode::SUCCESS),
-        Task::Health(args) => health::run(&args),
-        Task::Check(args) => check::run(&args),
-        Task::CameraLatency(args) => camera_latency::run(&args).map(|()| ExitCode::SUCCESS),
-        Task::Localize(args) => localize::run(&args).map(|()| ExitCode::SUCCESS),
-        Task::Buffer(args) => buffer::run(&args),
-        Task::Model(args) => model::run(&args),
+        Subcommand::Views(args) => views::run(&args).map(|()| ExitCode::SUCCESS),
+        Subcommand::Run(args) => run::run(&args).map(|()| ExitCode::SUCCESS),
+        Subcommand::Health(args) => health::run(&args),
+        Subcommand::Check(args) => check::run(&args),
+        Subcommand::CameraLatency(args) => camera_latency::run(&args).map(|()| ExitCode::SUCCESS),
+        Subcommand::Localize(args) => localize::run(&args).map(|()| ExitCode::SUCCESS),
+        Subcommand::Map(args) => map::run(&args).map(|()| ExitCode::SUCCESS),
+        Subcommand::GoTo(args) => {
+            let [x_m, y_m] = args.place;
+            give(Task::GoTo { x_m, y_m }, &args.task)
+        }
+        Subcommand::Return(args) => give(Task::Return, &args),
+        Subcommand::Resume(args) => give(Task::Explore, &args),
+        Subcommand::Buffer(args) => buffer::run(&args),
+        Subcommand::Model(args) => model::run(&args),
     };
     result.unwrap_or_else(|error| {
         eprintln!("error: {}", failure::sentence(&error));
         ExitCode::from(if error.is::<ConfigError>() { MISUSED } else { FAILED })
     })
+}
+
+fn give(task: Task, args: &TaskArgs) -> Result<ExitCode> {
+    task::give(task, &args.task_file).map(|()| ExitCode::SUCCESS)
 }
 
 /// Disables the telemetry of ONNX Runtime, for privacy: the robot works in homes.

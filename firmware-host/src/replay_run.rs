@@ -16,7 +16,7 @@ use runtime::tick::Decision;
 use crate::cli::{ReplayArgs, RunModels};
 use crate::config::Config;
 use crate::model::Store;
-use crate::replay::{Replayable, Run, Span, replay};
+use crate::replay::{Moment, Replayable, Run, Span, replay};
 use crate::setup::{self, Mission};
 
 struct Loop {
@@ -120,6 +120,43 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
 /// # Errors
 /// When this version does not know the run's configuration, or its models are not those that were given.
 pub fn build(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Box<dyn Replayable>> {
+    Ok(Box::new(loop_of(run, header, models)?))
+}
+
+/// The robot as it was after the last tick of a recorded run, and the run's header. Begins at the newest snapshot.
+///
+/// # Errors
+/// As [`build`], and when no part of the run's end can be recomputed.
+pub fn robot_at_end(path: &Path, models: &RunModels) -> Result<(Robot, RunHeader)> {
+    let run = Run::open_before(path, Moment::Tick(u64::MAX))?;
+    let header = run.header().clone();
+    let mut recorded = loop_of(path, &header, models)?;
+    let mut memory_known = run.is_at_the_start();
+    for tick in run {
+        let tick = match tick {
+            Ok(tick) => tick,
+            Err(error) => {
+                tracing::warn!("{error}");
+                memory_known &= !error.is_gap();
+                continue;
+            }
+        };
+        recorded.hand_over(tick.tick);
+        if let (false, Some(snapshot)) = (memory_known, &tick.snapshot) {
+            recorded.restore(snapshot)?;
+            memory_known = true;
+        }
+        if memory_known {
+            recorded.step(&tick)?;
+        }
+    }
+    if !memory_known {
+        bail!("{} has no snapshot before its end, so its last state is unknown", path.display());
+    }
+    Ok((recorded.robot, header))
+}
+
+fn loop_of(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Loop> {
     if !header.images {
         bail!(
             "the run was recorded without images (recording.images = false): nothing can be recomputed"
@@ -143,7 +180,7 @@ pub fn build(run: &Path, header: &RunHeader, models: &RunModels) -> Result<Box<d
         Some(stored) => stored.taken(run)?,
         None => handed_over(models, header, &config)?,
     };
-    Ok(Box::new(Loop { robot, networks, stored }))
+    Ok(Loop { robot, networks, stored })
 }
 
 /// The network that the run was made with.

@@ -77,6 +77,8 @@ pub enum Event {
         /// How.
         how: WheelError,
     },
+    /// No frontier is left that the robot can reach: all floor that it can reach has been seen. It comes once.
+    Explored,
     /// The policy changed the way in which it chooses goals.
     PolicySwitched {
         /// The new way.
@@ -98,6 +100,10 @@ pub enum GoalReason {
     LookAgain,
     /// Nothing else is left; a distant known place is observed again from elsewhere.
     Revisit,
+    /// The operator asked for it.
+    Task,
+    /// The robot returns to where the run began.
+    Return,
 }
 
 /// Why a goal was given up.
@@ -117,6 +123,8 @@ pub enum DropReason {
     PolicySwitched,
     /// The time for one goal is used up.
     Timeout,
+    /// The operator gave another task.
+    Task,
 }
 
 /// Why no goal could be chosen.

@@ -18,4 +18,5 @@ pub mod robot;
 pub mod safety;
 pub mod session;
 pub mod snapshot;
+pub mod task;
 pub mod tick;

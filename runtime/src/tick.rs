@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, SafetyEvent};
 use crate::localization::LostReason;
+use crate::task::Task;
 
 /// Everything that enters one tick. A recording of all inputs replays the run.
 #[derive(Debug, Clone, Copy)]
@@ -24,6 +25,8 @@ pub struct TickInput<'a> {
     /// Ground-truth depth of `frame`. Only with the depth source `truth`, which exists to test mapping and planning apart from
     /// depth.
     pub truth: Option<&'a DepthMap>,
+    /// What the operator has asked for since the previous tick.
+    pub task: Option<Task>,
     /// What the safety loop did since the previous tick.
     pub safety: &'a SafetyReport,
 }

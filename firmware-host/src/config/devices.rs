@@ -32,6 +32,8 @@ hal::settings! {
         frame_timeout_s: f64 = 1.0, in 0.1..=10.0, unit "s", was "picture_timeout_s";
         /// File that `firmware-host health` reads.
         status_file: String = "/run/embodied-depth/status.json".to_owned();
+        /// File through which `firmware-host go-to`, `return` and `resume` give the running robot a task.
+        task_file: String = "/run/embodied-depth/task.json".to_owned();
         /// File that remembers a stop that needs a person, also when the program or the computer starts again.
         stop_file: String = "/var/lib/embodied-depth/last_stop.json".to_owned();
     }

@@ -13,6 +13,7 @@ use runtime::lidar_agreement::LidarAgreement;
 use runtime::recording::{RecordedTick, RunDigest};
 use runtime::robot::{Robot, Stage as RobotStage, StageTimer};
 use runtime::session::{Observer, Session};
+use runtime::task::Task;
 use runtime::tick::{Decision, TickInput};
 use simulator::SimulatedRobot;
 use simulator::robot::Truth as World;
@@ -26,6 +27,7 @@ use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
 use crate::dump::{Dump, Shot};
 use crate::evaluation::{Evaluation, Truth};
+use crate::map::KeptMap;
 use crate::model::LiveModels;
 use crate::record::{RecordError, Recorder, recorded_views, snapshot};
 use crate::report::coverage::Coverage;
@@ -41,6 +43,7 @@ use crate::stopwatch::Stopwatch;
 pub(super) struct Exploration {
     out: PathBuf,
     frames: u64,
+    until_done: bool,
     session: Session<SimulatedDevices>,
     /// The source of better networks, if there is one.
     pub hand_over: Option<HandOver>,
@@ -56,6 +59,8 @@ pub(super) struct RunLog {
     recorder: Option<Recorder>,
     /// The dump of coarse depth for training, if there is one.
     pub dump: Option<Dump>,
+    /// The map that the run began with and leaves behind.
+    pub map: Option<KeptMap>,
     /// Signed models that arrive during the run.
     pub models: Option<LiveModels>,
     /// Agreement of the depth with the LiDAR.
@@ -111,6 +116,7 @@ impl Exploration {
             recording: config.recording.clone(),
             recorder,
             dump: None,
+            map: None,
             models: None,
             line: crate::setup::lidar_agreement(config),
             world,
@@ -129,6 +135,7 @@ impl Exploration {
         Self {
             out: args.out.clone(),
             frames: args.frames,
+            until_done: args.until_done,
             session: Session::new(devices, robot, port, config.base.tick_ns()),
             hand_over: None,
             log,
@@ -167,9 +174,23 @@ impl Exploration {
             let doing = goal.map_or_else(String::new, |goal| format!("{:?}", goal.why));
             let coverage = self.log.evaluation.coverage().map(Coverage::share);
             progress.frame(self.done, &Status { coverage, doing: &doing.to_lowercase() });
+            if self.until_done && self.session.robot().explorer().is_done() {
+                end = ExploreEnd::Explored;
+                break;
+            }
         }
         progress.finish();
         Ok(end)
+    }
+
+    /// Gives the robot a task before its next tick.
+    pub fn give(&mut self, task: Task) -> Result<()> {
+        Ok(self.session.give(task)?)
+    }
+
+    /// Saves the map, if the run keeps one.
+    pub fn save_map(&self) -> Result<()> {
+        self.log.map.as_ref().map_or(Ok(()), |map| map.save(self.session.robot()))
     }
 
     /// At the ticks of the schedule, hands over the recording and takes the next network. `false` if the run was
@@ -272,6 +293,9 @@ impl Observer for RunLog {
 
     fn before(&mut self, robot: &mut Robot, input: &TickInput<'_>) -> Result<(), Failure> {
         self.stopwatch.lap(Stage::Simulator);
+        if let (Some(map), Some(scan)) = (&self.map, input.scan) {
+            map.check(&scan.geometry)?;
+        }
         if let Some(models) = &mut self.models {
             models.before(robot, input.time_ns);
         }

@@ -188,8 +188,13 @@ impl Recorder {
         })
     }
 
+    /// Also the first tick gets a snapshot: the run begins with a memory.
+    pub fn begin_with_snapshot(&mut self) {
+        self.next_snapshot_ns = Some(0);
+    }
+
     /// Whether the tick at `time_ns` should carry a snapshot from which a replay can begin. That is the first tick of every
-    /// segment but the run's first, and the tick with which a recording begins again after a failure.
+    /// segment but the run's first, the first tick of a run that begins with a memory, and the tick with which a recording begins again after a failure.
     #[must_use]
     pub fn wants_snapshot(&mut self, time_ns: u64) -> bool {
         if self.status().failure.is_some() {

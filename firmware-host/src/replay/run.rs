@@ -220,10 +220,11 @@ impl Run {
         })
     }
 
-    /// Whether the next tick is the run's first one, before which a robot has no memory.
+    /// Whether the next tick is the run's first one, and the robot had no memory before it. A run that began with a loaded map
+    /// has it in the snapshot of its first tick.
     #[must_use]
     pub fn is_at_the_start(&self) -> bool {
-        self.segment == 0 && self.next_tick == 0
+        self.segment == 0 && self.next_tick == 0 && self.header.loaded_map.is_none()
     }
 
     /// The error for a run that is not at its start and has no snapshot.

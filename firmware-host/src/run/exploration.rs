@@ -18,6 +18,7 @@ use runtime::tick::{Decision, TickInput};
 use super::live_devices::LiveDevices;
 use super::status::ExplorationStatus;
 use crate::config::Config;
+use crate::map::KeptMap;
 use crate::model::LiveModels;
 use crate::record::{Recorder, recorded_views, snapshot};
 use crate::report::events::EventCounts;
@@ -111,6 +112,8 @@ impl Exploration {
 pub struct RunLog {
     /// The recording, which the caller finishes.
     pub recorder: Option<Recorder>,
+    /// The map that the run began with and leaves behind.
+    pub map: Option<KeptMap>,
     /// Signed models that arrive while the robot drives.
     models: Option<LiveModels>,
     /// Agreement of the depth with the LiDAR.
@@ -143,6 +146,7 @@ impl RunLog {
     fn new(config: &Config, recorder: Option<Recorder>, models: Option<LiveModels>) -> Self {
         Self {
             recorder,
+            map: None,
             models,
             line: setup::lidar_agreement(config),
             stopwatch: Stopwatch::default(),
@@ -227,6 +231,9 @@ impl Observer for RunLog {
     }
 
     fn before(&mut self, robot: &mut Robot, input: &TickInput<'_>) -> Result<()> {
+        if let (Some(map), Some(scan)) = (&self.map, input.scan) {
+            map.check(&scan.geometry)?;
+        }
         if let Some(models) = &mut self.models {
             models.before(robot, input.time_ns);
         }

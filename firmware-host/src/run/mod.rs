@@ -35,11 +35,16 @@ use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::model::{Keeper, LiveModels};
 
+use crate::keep_out;
+use crate::map::KeptMap;
 use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
+use crate::report::known_cells::KnownCells;
 use crate::report::latency::Stage;
+use crate::report::map_picture::MapPlot;
 use crate::report::summary::{CameraLatency, LidarLine, Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
+use crate::task::TaskFile;
 use exploration::{Exploration, RunLog};
 use instance_lock::InstanceLock;
 use last_stop::StopFile;
@@ -60,6 +65,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     // Wheels with inertia lose most of their time by stopping for every small rotation. The recorded configuration
     // contains this setting.
     config.planning.arcs = true;
+    keep_out::close(args.keep_out.as_deref(), args.policy.into(), &mut config)?;
     config.check_devices(&args.config)?;
     // The lock is taken before anything is opened or written, so that a running instance is not disturbed.
     let _lock = InstanceLock::on(&config.devices.base.bus)?;
@@ -75,7 +81,9 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let depth_source = if network.is_some() { DepthSource::Network } else { DepthSource::Coarse };
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
     let model = network.as_ref().map(|network| network.digest().to_owned());
-    let robot = Robot::new(config.robot(&mission), network)?;
+    let mut robot = Robot::new(config.robot(&mission), network)?;
+    let map =
+        args.map.as_deref().map(|path| KeptMap::open(path, &mut robot, &config)).transpose()?;
     let out = &args.out.clone().unwrap_or_else(|| named_by_time(&config));
     prepare_dir(out)?;
     let plan = args
@@ -85,8 +93,9 @@ pub fn run(args: &RunArgs) -> Result<()> {
         tracing::warn!("devices are broken on purpose: {}", plan.texts().join(", "));
     }
     let model_store = start.is_some();
-    let header =
-        RunHeader { model_store, ..setup::run_header(&config, &mission, model.as_deref(), &plan)? };
+    let loaded_map = map.as_ref().and_then(KeptMap::loaded).map(ToOwned::to_owned);
+    let header = setup::run_header(&config, &mission, model.as_deref(), &plan)?;
+    let header = RunHeader { model_store, loaded_map, ..header };
     let start_ns = monotonic_ns();
     let faults = plan.clone().at(Arc::new(move || monotonic_ns().saturating_sub(start_ns)));
     let recorder =
@@ -103,6 +112,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let models =
         start.map(|(keeper, start)| LiveModels::threaded(keeper, start, &config)).transpose()?;
     let mut exploration = Exploration::new(&config, devices, robot, port, recorder, models);
+    exploration.log.map = map;
     let stop_file = StopFile::open(config.run.stop_file.as_ref());
     let operator = Operator::start(safety.panel.clone(), stop_file)?;
     let mut supervision = Supervision::new(args, out, &config, lidar, &operator);
@@ -116,7 +126,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
         }
     }
     supervision.announce(&safety);
-    let end = explore(args, &operator, &mut safety, &mut exploration, &mut supervision)?;
+    let tasks = TaskFile::open(config.run.task_file.as_ref());
+    let end = explore(args, &operator, &tasks, &mut safety, &mut exploration, &mut supervision)?;
     let late = safety.shut_down();
     supervision.good_bye();
     let summary = Summary {
@@ -127,20 +138,27 @@ pub fn run(args: &RunArgs) -> Result<()> {
         fault_seed: plan.seed(),
         ..Summary::default()
     };
-    let (robot, log) = exploration.finish();
-    report(out, &mission, summary, &robot, log, late)
+    let (robot, mut log) = exploration.finish();
+    // The report comes also if the map cannot be saved.
+    let saved = log.map.take().map_or(Ok(()), |map| map.save(&robot));
+    report(out, &mission, summary, &robot, log, late)?;
+    saved
 }
 
 /// Runs the exploration loop until something ends it.
 fn explore(
     args: &RunArgs,
     operator: &Operator,
+    tasks: &TaskFile,
     safety: &mut SafetyThread,
     exploration: &mut Exploration,
     supervision: &mut Supervision,
 ) -> Result<ExploreEnd> {
     loop {
         exploration.session.wait();
+        if let Some(task) = tasks.take() {
+            exploration.session.give(task)?;
+        }
         if operator.ends.load(Ordering::Relaxed) {
             return Ok(ExploreEnd::Interrupted);
         }
@@ -170,7 +188,13 @@ fn recorder(out: &Path, config: &Config, header: RunHeader, faults: &Faults) -> 
         images: config.recording.images,
         ..RecorderOptions::robot(out)
     };
-    Ok(Recorder::start_on(Box::new(FaultyDisk::new(FileSystem, faults)), options, header)?)
+    let begins_with_memory = header.loaded_map.is_some();
+    let disk = Box::new(FaultyDisk::new(FileSystem, faults));
+    let mut recorder = Recorder::start_on(disk, options, header)?;
+    if begins_with_memory {
+        recorder.begin_with_snapshot();
+    }
+    Ok(recorder)
 }
 
 /// The limits of the folder that holds this run and the earlier ones, which is the robot's buffer.
@@ -228,20 +252,8 @@ fn report(
 
 /// Draws the map in `odom`. The position of `odom` in the world is unknown.
 fn draw_map(out: &Path, robot: &Robot, trajectory: &[Pose2], trips: &[[f64; 2]]) -> Result<()> {
-    use crate::report::map_picture::{CellState, Cells, MapPlot};
-    let Some(view) = crate::report::map_view::map_view(robot.map()) else { return Ok(()) };
-    let state = |occupancy: &i8| match occupancy {
-        -1 => CellState::Unknown,
-        0 => CellState::Free,
-        _ => CellState::Occupied,
-    };
-    let cells: Vec<CellState> = view.occupancy.iter().map(state).collect();
-    let map = Cells {
-        width: view.columns,
-        cells: &cells,
-        resolution_m: view.cell_m,
-        origin_m: view.origin_m,
-    };
+    let Some(cells) = KnownCells::of(robot.map()) else { return Ok(()) };
+    let map = cells.as_cells();
     let title = "the map as the robot has it";
     let picture = MapPlot { title, figures: "", map, trajectory, goals: &[], trips, truth: None };
     Ok(picture.write(out)?)

@@ -86,6 +86,9 @@ hal::settings! {
         blacklist_expiry_s: f64 = 120.0, in 1.0..=86400.0, unit "s";
         /// Goals this near to one that was given up are not chosen either.
         blacklist_radius_m: f64 = 0.5, in 0.0..=10.0, unit "m";
+        /// Whether the robot drives back to where the run began, and stands there, when all floor that it can reach has been seen.
+        /// Without it the robot goes on observing known places.
+        return_to_start: bool = false;
         /// The path to the goal is checked against the map once in this many ticks.
         replan_ticks: u64 = 10, in 1..=1000, unit "ticks";
         /// When no frontier can be reached, the planner ignores obstacles with at most these log-odds: they were observed

@@ -10,6 +10,8 @@ use super::blacklist::{Blacklist, distance_m};
 use super::blind::BlindPolicy;
 use super::choose::{self, Candidate};
 use super::config::{ExplorationConfig, PolicyKind};
+use super::ending::Ending;
+use super::errand::{Errand, Means, moved_pose};
 use super::goal::Goal;
 use super::navigator::Navigator;
 use crate::event::{DropReason, Event, GoalReason, NoGoalReason};
@@ -18,6 +20,7 @@ use crate::planning::{
     ConfigError, Follower, FollowerConfig, NoPath, PlanConfig, Primitive, Progress,
 };
 use crate::snapshot::remembers;
+use crate::task::Task;
 
 /// Ticks until the next attempt to choose a goal when there is none: one move of the heuristic
 /// policy, which drives meanwhile.
@@ -64,6 +67,11 @@ pub struct Explorer {
     recent_positions_m: VecDeque<[f64; 2]>,
     plan_at: u64,
     choose_at: u64,
+    /// Where the robot was when it first decided, in `map`.
+    start: Option<Pose2>,
+    ending: Ending,
+    /// A drive to one place. While there is one, the policy waits.
+    errand: Option<Errand>,
 }
 
 impl Explorer {
@@ -103,12 +111,38 @@ impl Explorer {
             recent_positions_m: VecDeque::with_capacity(POSITION_COUNT + 1),
             plan_at: 0,
             choose_at: 0,
+            start: None,
+            ending: Ending::default(),
+            errand: None,
         })
     }
 
     #[must_use]
     pub fn goal(&self) -> Option<&Goal> {
-        self.goal.as_ref()
+        self.errand.as_ref().map_or(self.goal.as_ref(), Errand::goal)
+    }
+
+    /// Whether exploration has ended and the robot has nothing left to do: it has seen all floor that it can reach, and stands at
+    /// its start if it was to return.
+    #[must_use]
+    pub fn is_done(&self) -> bool {
+        let returned = self.errand.as_ref().is_some_and(Errand::is_standing);
+        self.ending.has_ended() && (returned || !self.config.return_to_start)
+    }
+
+    /// Takes a task of the operator, in place of the one before.
+    pub fn begin(&mut self, task: Task, events: &mut Vec<Event>) {
+        if self.goal().is_some() {
+            events.push(Event::GoalDropped { why: DropReason::Task });
+        }
+        self.forget_goal();
+        self.choose_at = 0;
+        self.errand = match task {
+            Task::Explore => None,
+            Task::GoTo { x_m, y_m } => Some(Errand::to_place([x_m, y_m])),
+            // Before its first decision the robot is at its start.
+            Task::Return => Some(self.start.as_ref().map_or(Errand::HERE, Errand::back_to)),
+        };
     }
 
     /// The path to the goal as corner points in `odom`, metres.
@@ -119,6 +153,10 @@ impl Explorer {
 
     /// Decides the next motion primitive and appends what happened to `events`.
     pub fn step(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) -> Primitive {
+        self.start.get_or_insert(senses.pose);
+        if self.errand.is_some() {
+            return self.step_errand(senses, events);
+        }
         if senses.tick < self.config.warm_up_frames {
             return self.warm_up.next(&mut self.rng, senses.bumped);
         }
@@ -137,12 +175,27 @@ impl Explorer {
             goal.target_m = moved(goal.target_m);
             goal.interest_m = moved(goal.interest_m);
         }
+        if let Some(errand) = &mut self.errand {
+            errand.move_places(&moved);
+        }
+        self.start = self.start.map(|start| moved_pose(&start, &moved));
+        self.ending.move_places(&moved);
         self.blacklist.move_places(&moved);
         for place_m in &mut self.recent_positions_m {
             *place_m = moved(*place_m);
         }
         self.follower.clear();
         self.plan_at = 0;
+    }
+
+    fn step_errand(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) -> Primitive {
+        let Some(errand) = &mut self.errand else { return Primitive::Stay };
+        let mut means = Means {
+            navigator: &mut self.navigator,
+            follower: &mut self.follower,
+            config: &self.config,
+        };
+        errand.step(senses, &mut means, events)
     }
 
     fn step_to_goal(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) -> Primitive {
@@ -153,10 +206,22 @@ impl Explorer {
         if self.goal.is_none() && senses.tick >= self.choose_at {
             self.choose_goal(senses, events);
         }
+        if self.errand.is_some() {
+            return self.step_errand(senses, events);
+        }
         if self.goal.is_some() && (senses.tick >= self.plan_at || senses.bumped) {
             self.plan(senses, events);
         }
-        self.follow(senses, events).unwrap_or_else(|| self.blind.next(&mut self.rng, senses.bumped))
+        self.follow(senses, events).unwrap_or_else(|| self.step_without_path(senses))
+    }
+
+    /// Drives on blindly to observe more. With closed areas, which it might enter, it only rotates.
+    fn step_without_path(&mut self, senses: &Observations<'_>) -> Primitive {
+        if self.navigator.keep_out().is_empty() {
+            self.blind.next(&mut self.rng, senses.bumped)
+        } else {
+            Primitive::TurnLeft
+        }
     }
 
     fn record_position(&mut self, senses: &Observations<'_>) {
@@ -193,21 +258,14 @@ impl Explorer {
     /// Ends a goal that was reached, has become resolved or blocked, or has taken too long.
     fn check_goal(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
-        let now_ns = senses.time_ns;
         if distance_m(goal.target_m, [senses.pose.x_m, senses.pose.y_m])
             < self.config.goal_reached_m
         {
             self.goal_reached(senses, events);
             return;
         }
-        let stalled_s = goal.stalled_ns(now_ns) as f64 * 1e-9;
-        let age_s = goal.age_ns(now_ns) as f64 * 1e-9;
-        let why = if senses.bumped && goal.record_trip() >= self.config.trips_per_goal {
-            DropReason::Blocked
-        } else if stalled_s > self.config.progress_timeout_s {
-            DropReason::NoProgress
-        } else if age_s > self.config.goal_timeout_s {
-            DropReason::Timeout
+        let why = if let Some(why) = goal.why_to_drop(&self.config, senses) {
+            why
         } else if goal.is_frontier() && !frontier_is_left(senses.map, goal.interest_m) {
             DropReason::Resolved
         } else {
@@ -221,6 +279,7 @@ impl Explorer {
         let Some(goal) = self.goal else { return };
         self.forget_goal();
         if !matches!(why, DropReason::Resolved | DropReason::PolicySwitched) {
+            self.note_tried(&goal);
             self.blacklist_place(goal.interest_m, senses);
             self.blacklist_place(goal.target_m, senses);
         }
@@ -231,6 +290,13 @@ impl Explorer {
         self.follower.clear();
     }
 
+    /// Remembers that a goal ended before its frontier was resolved.
+    fn note_tried(&mut self, goal: &Goal) {
+        if goal.is_frontier() {
+            self.ending.tried(goal.interest_m, self.config.blacklist_radius_m);
+        }
+    }
+
     fn blacklist_place(&mut self, place_m: [f64; 2], senses: &Observations<'_>) {
         let expiry_ns = (self.config.blacklist_expiry_s * 1e9) as u64;
         self.blacklist.add(place_m, senses.time_ns + expiry_ns);
@@ -239,7 +305,17 @@ impl Explorer {
     /// Chooses a goal: of the mode's own kind first, then of the other kind, then a frontier behind
     /// doubtful obstacles, then any reachable place.
     fn choose_goal(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) {
-        match self.select_goal(senses, events) {
+        let mut is_open = true;
+        let selected = self.select_goal(senses, events, &mut is_open);
+        is_open = is_open || self.any_doubtful_frontier_is_open(senses);
+        if self.ending.update(is_open) {
+            events.push(Event::Explored);
+            if self.config.return_to_start {
+                self.errand = self.start.as_ref().map(Errand::back_to);
+                return;
+            }
+        }
+        match selected {
             Some((target_m, interest_m, why)) => {
                 events.push(Event::GoalChosen { x_m: target_m[0], y_m: target_m[1], why });
                 self.goal = Some(Goal::new(target_m, interest_m, why, senses.time_ns));
@@ -249,10 +325,12 @@ impl Explorer {
         }
     }
 
+    /// Sets `is_open` to whether a frontier is left that the robot has not tried often enough.
     fn select_goal(
         &mut self,
         senses: &Observations<'_>,
         events: &mut Vec<Event>,
+        is_open: &mut bool,
     ) -> Option<([f64; 2], [f64; 2], GoalReason)> {
         let survey = match self.navigator.survey(senses.map, &senses.pose, 0.0) {
             Ok(survey) => survey,
@@ -261,6 +339,8 @@ impl Explorer {
                 return None;
             }
         };
+        let radius_m = self.config.blacklist_radius_m;
+        *is_open = self.ending.any_open(&survey.frontiers(), radius_m);
         let kinds: &[GoalReason] = match (self.kind, self.mode) {
             (PolicyKind::Frontier, _) => &[GoalReason::Frontier],
             (_, GoalReason::Inconsistency) => &[GoalReason::Inconsistency, GoalReason::Frontier],
@@ -321,6 +401,14 @@ impl Explorer {
         .ok()
     }
 
+    /// Whether a frontier can be reached when doubtful obstacles count as unknown floor, and was not tried often enough.
+    fn any_doubtful_frontier_is_open(&mut self, senses: &Observations<'_>) -> bool {
+        let doubtful_log_odds = self.config.doubtful_log_odds;
+        let survey = self.navigator.survey(senses.map, &senses.pose, doubtful_log_odds);
+        let radius_m = self.config.blacklist_radius_m;
+        survey.is_ok_and(|survey| self.ending.any_open(&survey.frontiers(), radius_m))
+    }
+
     fn plan(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
         self.plan_at = senses.tick + self.config.replan_ticks;
@@ -361,6 +449,7 @@ impl Explorer {
         events.push(Event::GoalReached);
         let Some(goal) = self.goal else { return };
         self.forget_goal();
+        self.note_tried(&goal);
         // A place that is still unknown when the robot is in front of it stays unknown: explore
         // elsewhere for a while.
         self.blacklist_place(goal.interest_m, senses);
@@ -382,7 +471,7 @@ fn frontier_is_left(map: &OccupancyGrid, place_m: [f64; 2]) -> bool {
 }
 
 remembers!(
-    Explorer: rng, blind, warm_up, mode, mode_since, goal, follower, blacklist, recent_positions_m, plan_at, choose_at
+    Explorer: rng, blind, warm_up, mode, mode_since, goal, follower, blacklist, recent_positions_m, plan_at, choose_at, start, ending, errand
 );
 
 #[cfg(test)]

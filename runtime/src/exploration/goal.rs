@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::event::GoalReason;
+use super::config::ExplorationConfig;
+use super::explorer::Observations;
+use crate::event::{DropReason, GoalReason};
 
 /// The remaining path must become shorter by more than this to count as progress, metres.
 const PROGRESS_M: f64 = 0.1;
@@ -61,6 +63,25 @@ impl Goal {
     pub fn record_trip(&mut self) -> u32 {
         self.trips += 1;
         self.trips
+    }
+
+    /// Why the goal has to be given up now, if it has to. Counts the trip of this tick.
+    pub(super) fn why_to_drop(
+        &mut self,
+        config: &ExplorationConfig,
+        senses: &Observations<'_>,
+    ) -> Option<DropReason> {
+        let stalled_s = self.stalled_ns(senses.time_ns) as f64 * 1e-9;
+        let age_s = self.age_ns(senses.time_ns) as f64 * 1e-9;
+        if senses.bumped && self.record_trip() >= config.trips_per_goal {
+            Some(DropReason::Blocked)
+        } else if stalled_s > config.progress_timeout_s {
+            Some(DropReason::NoProgress)
+        } else if age_s > config.goal_timeout_s {
+            Some(DropReason::Timeout)
+        } else {
+            None
+        }
     }
 
     /// Time since the last progress.

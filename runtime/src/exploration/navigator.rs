@@ -8,7 +8,7 @@ use super::choose::Candidate;
 use crate::mapping::{
     Cell, CellState, Frontier, FrontierFinder, OccupancyGrid, SingleFrameMap, inconsistencies,
 };
-use crate::planning::{ConfigError, Costmap, NoPath, PlanConfig, Planner, Reach};
+use crate::planning::{ConfigError, Costmap, KeepOut, NoPath, PlanConfig, Planner, Reach};
 
 /// A frontier's approach cell may lie in an obstacle's margin. The nearest reachable cell within
 /// this radius replaces it, metres.
@@ -34,6 +34,7 @@ pub(super) struct Navigator {
 pub(super) struct Survey<'a> {
     reach: Reach<'a>,
     frontiers: &'a [Frontier],
+    keep_out: &'a KeepOut,
     cell_m: f64,
 }
 
@@ -59,7 +60,17 @@ impl Navigator {
         self.finder.find(map, FrontierFinder::MIN_CELLS, &mut self.frontiers);
         let start = map.cell_at(pose.x_m, pose.y_m);
         let reach = self.planner.flood(&self.costmap, start)?;
-        Ok(Survey { reach, frontiers: &self.frontiers, cell_m: map.cell_m() })
+        Ok(Survey {
+            reach,
+            frontiers: &self.frontiers,
+            keep_out: self.costmap.keep_out(),
+            cell_m: map.cell_m(),
+        })
+    }
+
+    /// The areas that a person has closed.
+    pub(super) fn keep_out(&self) -> &KeepOut {
+        self.costmap.keep_out()
     }
 
     /// The path to a place in `odom` as corner points, metres; `doubtful_log_odds` as for
@@ -82,10 +93,14 @@ impl Navigator {
 }
 
 impl Survey<'_> {
-    /// Every frontier with the length of the path to it.
+    /// Every frontier outside of closed areas, with the length of the path to it.
     pub(super) fn frontiers(&self) -> Vec<Candidate> {
         self.frontiers
             .iter()
+            .filter(|frontier| {
+                let approach_m = frontier.approach.center_m(self.cell_m);
+                !self.keep_out.contains(frontier.centroid_m) && !self.keep_out.contains(approach_m)
+            })
             .map(|frontier| {
                 let approach = self.reach.nearest(frontier.approach, APPROACH_RADIUS_M);
                 Candidate {

@@ -434,6 +434,16 @@ impl OccupancyGrid {
     pub fn config(&self) -> &MapConfig {
         &self.config
     }
+
+    /// Whether all numbers are finite and the known cells lie within the window, as in every map that was not read from bytes.
+    fn is_sound(&self) -> bool {
+        let window = self.window.cells();
+        let is_inside = self.known.is_none_or(|known| known.intersection(window) == Some(known));
+        is_inside
+            && self.scale.is_finite()
+            && self.scale > 0.0
+            && self.stored.iter().all(|value| value.is_finite())
+    }
 }
 
 /// A snapshot is taken between two updates. Data that only reports use is left out.
@@ -466,6 +476,9 @@ impl State for OccupancyGrid {
         let sizes = [self.stored.len(), self.top_cm.len(), self.section_of.len()];
         if sizes != [cells; 3] {
             return Err(SnapshotError::Damaged("a map of another size".to_owned()));
+        }
+        if !self.is_sound() {
+            return Err(SnapshotError::Damaged("a map that no robot makes".to_owned()));
         }
         Ok(())
     }

@@ -181,6 +181,7 @@ mod tests {
                 scan_odom: wheel.odom,
                 frame: with_frame.then_some(frame),
                 truth: None,
+                task: None,
                 safety: &SafetyReport::default(),
             })
             .len()

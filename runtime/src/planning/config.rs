@@ -35,6 +35,9 @@ hal::settings! {
         unknown_cost: f64 = 4.0, in 1.0..=10.0, unit "m";
         /// Distance by which a path may leave the known part of the map.
         padding_m: f64 = 0.6, in 0.0..=10.0, unit "m";
+        /// Areas that no path enters, each a list of corners in `map`, such as `[[[1.0, 0.0], [2.0, 0.0], [2.0, 1.0]]]`.
+        /// `--keep-out FILE` adds those of a GeoJSON file.
+        keep_out_m: Vec<Vec<[f64; 2]>> = Vec::new(), in -1000.0..=1000.0, unit "m";
         /// A search gives up after it has expanded this many cells.
         max_expanded: usize = 4_000_000, in 1..=1000000000, unit "cells";
         /// The robot steers for the point of the path that is this far ahead.
@@ -66,6 +69,7 @@ impl PlanningSection {
             inflation_cost: self.inflation_cost,
             unknown_cost: self.unknown_cost,
             padding_m: self.padding_m,
+            keep_out_m: self.keep_out_m.clone(),
             max_expanded: self.max_expanded,
         }
     }
@@ -97,6 +101,8 @@ pub struct PlanConfig {
     pub inflation_cost: f64,
     pub unknown_cost: f64,
     pub padding_m: f64,
+    /// Areas that no path enters: corners in `map`.
+    pub keep_out_m: Vec<Vec<[f64; 2]>>,
     pub max_expanded: usize,
 }
 
@@ -126,6 +132,7 @@ impl PlanConfig {
             inflation_cost: self.inflation_cost,
             unknown_cost: self.unknown_cost,
             padding_m: self.padding_m,
+            keep_out_m: self.keep_out_m.clone(),
             max_expanded: self.max_expanded,
             ..PlanningSection::default()
         };

@@ -2,6 +2,7 @@
 
 use super::config::{ConfigError, PlanConfig};
 use super::distance::{Distances, FAR};
+use super::keep_out::KeepOut;
 use crate::mapping::{Cell, CellBox, OccupancyGrid};
 
 /// Weight of a free cell far from obstacles. Weights are integers in quarters of this cost.
@@ -24,6 +25,7 @@ pub(super) const WEIGHT: u8 = 0x3f;
 #[derive(Debug, Clone)]
 pub struct Costmap {
     config: PlanConfig,
+    keep_out: KeepOut,
     pub(super) cell_m: f64,
     pub(super) cells: CellBox,
     /// Columns in memory: the box and one blocked cell on either side, so that searches need no
@@ -50,6 +52,7 @@ impl Costmap {
         config.validate()?;
         let mut costmap = Self {
             config: config.clone(),
+            keep_out: KeepOut::new(config.keep_out_m.clone()),
             cell_m: 1.0,
             cells: CellBox::of(Cell::default()),
             stride: 3,
@@ -74,6 +77,7 @@ impl Costmap {
     ) -> Self {
         let mut costmap = Self {
             config: PlanConfig::default(),
+            keep_out: KeepOut::default(),
             cell_m,
             cells,
             stride: 0,
@@ -129,11 +133,11 @@ impl Costmap {
         self.distances.reset(width, height);
         let mut values = core::mem::take(&mut self.row_values);
         for row in 0..height {
-            read_row(grid, cells, row, &mut values);
+            self.read_row(grid, cells, row, &mut values);
             self.distances.set_row(row, values.iter().map(|value| *value > doubtful), reach);
         }
         for row in 0..height {
-            read_row(grid, cells, row, &mut values);
+            self.read_row(grid, cells, row, &mut values);
             let start = (row + 1) * self.stride + 1;
             let clearance2 = &mut self.clearance2[start..start + width];
             self.distances.row(row, reach, clearance2);
@@ -147,6 +151,22 @@ impl Costmap {
         }
         self.row_values = values;
         self.mark_level();
+    }
+
+    /// Reads one row of `cells` from the map into `values`. Closed cells are occupied beyond doubt.
+    fn read_row(&self, grid: &OccupancyGrid, cells: CellBox, row: usize, values: &mut Vec<f32>) {
+        let y = cells.min.y + row as i32;
+        let (left, right) = grid.row(y, cells.min.x, cells.width());
+        values.clear();
+        values.extend_from_slice(left);
+        values.extend_from_slice(right);
+        self.keep_out.write_row(cells, y, grid.cell_m(), f32::INFINITY, values);
+    }
+
+    /// The areas that a person has closed.
+    #[must_use]
+    pub fn keep_out(&self) -> &KeepOut {
+        &self.keep_out
     }
 
     /// Sets the [`LEVEL`] flags, which let searches skip cells.
@@ -294,14 +314,6 @@ impl Costmap {
     }
 }
 
-/// Reads one row of `cells` from the map into `values`.
-fn read_row(grid: &OccupancyGrid, cells: CellBox, row: usize, values: &mut Vec<f32>) {
-    let (left, right) = grid.row(cells.min.y + row as i32, cells.min.x, cells.width());
-    values.clear();
-    values.extend_from_slice(left);
-    values.extend_from_slice(right);
-}
-
 /// The weight in quarters of the cost of free floor.
 fn quantised(weight: f64) -> u8 {
     (weight * f64::from(FREE)).round().clamp(f64::from(FREE), f64::from(HEAVIEST)) as u8
@@ -362,6 +374,28 @@ mod tests {
         // Behind the robot is outside of the scanner's field of view.
         assert_eq!(costmap.weight(grid.cell_at(-1.0, 0.0)), Some(4.0));
         assert_eq!(costmap.weight(grid.cell_at(-4.0, 0.0)), None, "beyond the padding");
+    }
+
+    #[test]
+    fn a_closed_area_is_an_obstacle_for_the_planner_and_not_for_the_map() {
+        let grid = ring();
+        let strip = vec![[0.6, -2.0], [0.7, -2.0], [0.7, 2.0], [0.6, 2.0]];
+        let config = PlanConfig {
+            footprint_radius_m: 0.12,
+            keep_out_m: vec![strip],
+            ..PlanConfig::default()
+        };
+        let mut costmap = Costmap::new(&config).unwrap();
+        // However doubtful obstacles may be.
+        costmap.update_with_doubt(&grid, 1000.0);
+        let here = grid.cell_at(0.0, 0.0);
+        let beyond = grid.cell_at(1.0, 0.0);
+        assert_eq!(costmap.weight(grid.cell_at(0.65, 0.3)), None);
+        assert_eq!(costmap.weight(grid.cell_at(0.5, 0.3)), None, "the robot's body stays outside");
+        assert!(costmap.is_passable(here) && costmap.is_passable(beyond));
+        let planned = Planner::new(1_000_000).plan(&costmap, here, beyond).map(<[Cell]>::len);
+        assert_eq!(planned, Err(NoPath::Unreachable));
+        assert!(grid.log_odds(grid.cell_at(0.65, 0.3)) < 0.0);
     }
 
     #[test]

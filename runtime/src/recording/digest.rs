@@ -75,6 +75,11 @@ fn hash_input(hasher: &mut Hasher, input: &TickInput<'_>) {
     }
     hash_pose(hasher, &input.scan_odom);
     hash_safety(hasher, input.safety);
+    // Recordings from before there were tasks keep their digests.
+    if let Some(task) = &input.task {
+        // The text as it is recorded. Its numbers are exact.
+        hasher.update(serde_json::to_string(task).unwrap_or_default().as_bytes());
+    }
 }
 
 fn hash_safety(hasher: &mut Hasher, safety: &SafetyReport) {

@@ -35,6 +35,9 @@ pub struct RunHeader {
     /// Whether the run took models from a model store. The events of its ticks say which ones and when.
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub model_store: bool,
+    /// BLAKE3 digest of the map state that the run began with, in hex. The snapshot of its first tick holds the map.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub loaded_map: Option<String>,
     /// The injected faults. The recorded inputs are those that the faulty devices delivered.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub faults: Vec<String>,
@@ -75,6 +78,7 @@ impl RunHeader {
             model_digest: None,
             hand_over: None,
             model_store: false,
+            loaded_map: None,
             faults: Vec::new(),
             fault_seed: None,
             images: true,

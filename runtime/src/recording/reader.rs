@@ -180,6 +180,7 @@ impl Parts {
             scan_odom: Pose2::from(&self.json.scan_odom),
             frame: self.frame,
             truth: self.truth,
+            task: self.json.task,
             decision: self.decision,
             snapshot: self.snapshot,
             safety: self.json.safety,

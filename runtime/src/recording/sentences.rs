@@ -66,6 +66,7 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::WheelsContradicted { how } => {
             (Warning, format!("wheels and scans disagree: {}", wheel_error(*how)))
         }
+        Event::Explored => (Info, "all reachable floor seen".to_owned()),
         Event::PolicySwitched { to } => {
             (Info, format!("policy now chooses goals by: {}", goal_reason(*to)))
         }
@@ -77,6 +78,8 @@ fn goal_reason(why: GoalReason) -> &'static str {
         GoalReason::Frontier => "free floor beside unknown space",
         GoalReason::Inconsistency => "two observations of that place disagree",
         GoalReason::LookAgain => "a frontier behind uncertain obstacles; no other can be reached",
+        GoalReason::Task => "the operator asked for it",
+        GoalReason::Return => "back to where the run began",
         GoalReason::Revisit => "nothing unknown is left; a known place seen from another side",
     }
 }
@@ -88,6 +91,7 @@ fn drop_reason(why: DropReason) -> &'static str {
         DropReason::Blocked => "the safety plane stopped the robot on the path too often",
         DropReason::Resolved => "the place has been observed meanwhile",
         DropReason::PolicySwitched => "the policy chooses goals by another criterion now",
+        DropReason::Task => "the operator gave another task",
         DropReason::Timeout => "the time for one goal is used up",
     }
 }

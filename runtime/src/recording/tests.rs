@@ -11,6 +11,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::event::{BackOffEnd, Event, GoalReason, SafetyEvent};
 use crate::localization::LostReason;
+use crate::task::Task;
 use crate::tick::{Command, Decision, SafetyReport, SentCommand};
 
 pub(super) fn run_header() -> RunHeader {
@@ -71,6 +72,7 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
             4,
             (0..24).map(|i| f32::from(i as u16 + tick as u16) / 1000.0).collect(),
         ),
+        task: Some(Task::GoTo { x_m: 0.1 + 0.2, y_m: -1e-17 * tick as f64 }),
         scan_odom: Pose2 { x_m: 0.1 * tick as f64 - 1e-3, y_m: -0.3, yaw_rad: 3.0 },
         safety: SafetyReport {
             in_charge: tick.is_multiple_of(3),
@@ -100,6 +102,7 @@ fn bare_tick(tick: u64) -> RecordedTick {
         scan: None,
         frame: None,
         truth: None,
+        task: None,
         safety: SafetyReport::default(),
         snapshot: None,
         ..some_tick(tick)
@@ -275,7 +278,7 @@ prop_compose! {
         safety in any_report(),
     ) -> RecordedTick {
         let scan_odom = wheel.odom;
-        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, frame, truth, safety, decision, snapshot: None }
+        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, frame, truth, task: None, safety, decision, snapshot: None }
     }
 }
 

@@ -3,6 +3,7 @@
 use hal::{DepthMap, ImageView, LaserScan, PixelFormat, Pose2, WheelFeedback};
 
 use super::RecordingError;
+use crate::task::Task;
 use crate::tick::{Decision, SafetyReport, TickInput};
 
 /// An RGB8 image that owns its bytes.
@@ -33,6 +34,8 @@ pub struct RecordedTick {
     pub frame: Option<RgbImage>,
     /// Ground-truth depth of `frame`, with the depth source `truth`. Whole millimetres.
     pub truth: Option<DepthMap>,
+    /// What the operator asked for.
+    pub task: Option<Task>,
     /// What the safety loop did since the previous tick, with every command that it sent.
     pub safety: SafetyReport,
     /// The decision; `None` in a tick that was recorded without one.
@@ -54,6 +57,7 @@ impl RecordedTick {
             scan_odom: Pose2::IDENTITY,
             frame: None,
             truth: None,
+            task: None,
             safety: SafetyReport::default(),
             decision: None,
             snapshot: None,
@@ -84,6 +88,7 @@ impl RecordedTick {
             scan_odom: input.scan_odom,
             frame: frame.transpose()?,
             truth: input.truth.cloned(),
+            task: input.task,
             safety: input.safety.clone(),
             decision,
             snapshot: None,
@@ -133,6 +138,7 @@ impl RecordedTick {
                 .transpose()
                 .map_err(|source| RecordingError::Frame { tick: self.tick, source })?,
             truth: self.truth.as_ref(),
+            task: self.task,
             safety: &self.safety,
         })
     }

@@ -15,6 +15,7 @@ use super::tick::RecordedTick;
 use super::topics::Topic;
 use super::views::{self, Views};
 use super::{RecordingError, image, scan};
+use crate::task::Task;
 use crate::tick::{Decision, SafetyReport};
 
 /// A chunk is closed when it holds this many bytes before compression, about one second of images at 10 Hz.
@@ -57,6 +58,8 @@ pub(super) struct TickJson {
     pub decision: bool,
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub snapshot: bool,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub task: Option<Task>,
     pub safety: SafetyReport,
 }
 
@@ -168,6 +171,7 @@ impl<W: Write> RecordingWriter<W> {
             truth: tick.truth.is_some(),
             decision: tick.decision.is_some(),
             snapshot: tick.snapshot.is_some(),
+            task: tick.task,
             safety: tick.safety.clone(),
         };
         let json = serde_json::to_vec(&json)

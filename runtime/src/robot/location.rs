@@ -130,6 +130,11 @@ impl Location {
         }
     }
 
+    /// The scanner that localization was made for.
+    pub(super) fn scanner(&self) -> Option<Geometry> {
+        self.geometry
+    }
+
     /// Index of the submap that the robot is in.
     pub(super) fn submap(&self) -> usize {
         self.localizer.as_ref().map_or(0, Localizer::submap)
@@ -164,7 +169,7 @@ impl Location {
 
 /// The scanner that a localizer was made for, in a snapshot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct Geometry {
+pub(super) struct Geometry {
     angle_min_rad: f64,
     angle_increment_rad: f64,
     beams: usize,

@@ -74,6 +74,11 @@ impl MapCorrection {
         self.begin_section(location, map);
     }
 
+    /// Number of sections of the map: one for each submap.
+    pub(super) fn sections(&self) -> usize {
+        self.drawn.len()
+    }
+
     /// Goes on with the map's correction. Returns how the map moved in the tick in which it is exchanged.
     pub(super) fn update(&mut self, location: &Location, map: &mut OccupancyGrid) -> Option<Moved> {
         if self.work.is_none() {

@@ -4,6 +4,10 @@ mod camera_time;
 mod location;
 mod lost;
 mod map_correction;
+mod saved_map;
+#[cfg(test)]
+mod saved_map_tests;
+mod wheel_frame;
 
 use std::collections::VecDeque;
 
@@ -28,8 +32,10 @@ use camera_time::CameraTime;
 use location::Location;
 use lost::LostMotion;
 use map_correction::MapCorrection;
+use wheel_frame::WheelFrame;
 
 pub use location::TickPoses;
+pub use saved_map::{MAP_STATE_VERSION, MapStateError, SavedMap};
 
 /// Where the depth that goes into the map comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -155,6 +161,7 @@ pub struct Robot {
     has_depth: HasDepth,
     location: Location,
     camera_time: CameraTime,
+    wheel_frame: WheelFrame,
     poses: TickPoses,
     whereabouts: Whereabouts,
     lost_motion: LostMotion,
@@ -200,6 +207,7 @@ impl Robot {
                 Pose2::new(config.laser_forward_m, 0.0, 0.0),
             )?,
             camera_time: CameraTime::default(),
+            wheel_frame: WheelFrame::default(),
             poses: TickPoses::START,
             whereabouts: Whereabouts::Localized,
             lost_motion: LostMotion::default(),
@@ -295,6 +303,9 @@ impl Robot {
     pub(crate) fn tick(&mut self, input: &TickInput<'_>, timer: &mut impl StageTimer) -> Decision {
         let mut events = Vec::new();
         events.extend(self.new_network.take());
+        if let Some(task) = input.task {
+            self.explorer.begin(task, &mut events);
+        }
         if let Some(why) = self.refusal(input) {
             events.push(Event::InputRefused { why });
             return self.stop(input, events);
@@ -526,7 +537,7 @@ impl Robot {
         events: &mut Vec<Event>,
     ) {
         let before = self.poses.t_map_base();
-        let located = self.location.update(input, scan);
+        let located = self.location.update(&self.wheel_frame.apply(input), scan);
         self.poses = located.poses;
         if self.config.localization.estimate_camera_latency {
             self.poses.t_odom_base_at_frame =
@@ -617,7 +628,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, location, camera_time, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, location, camera_time, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.

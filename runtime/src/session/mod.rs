@@ -22,6 +22,7 @@ pub use virtual_time::{VirtualDevices, VirtualTime};
 use crate::recording::{RecordedTick, RecordingError};
 use crate::robot::{Robot, StageTimer};
 use crate::safety::Plan;
+use crate::task::{PlaceNotFinite, Task};
 use crate::tick::{Decision, SafetyReport, TickInput};
 use wheel_history::WheelHistory;
 
@@ -73,6 +74,7 @@ pub struct Session<D> {
     port: SafetyPort,
     wheels: WheelHistory,
     report: SafetyReport,
+    task: Option<Task>,
     period_ns: u64,
     due_ns: u64,
     tick: u64,
@@ -89,6 +91,7 @@ impl<D: Devices> Session<D> {
             port,
             wheels: WheelHistory::default(),
             report: SafetyReport::default(),
+            task: None,
             period_ns,
             due_ns,
             tick: 0,
@@ -133,6 +136,7 @@ impl<D: Devices> Session<D> {
             scan_odom: scan_wheel.unwrap_or(wheel).odom,
             frame: frame_ns.and_then(|_| self.devices.frame()),
             truth: frame_ns.and_then(|_| self.devices.truth()),
+            task: self.task.take(),
             safety: &self.report,
         };
         observer.before(&mut self.robot, &input)?;
@@ -143,6 +147,15 @@ impl<D: Devices> Session<D> {
         self.tick += 1;
         observer.after(&mut self.robot, &input, &decision)?;
         Ok(Some(decision))
+    }
+
+    /// Gives the robot a task, which becomes part of the next tick's input. It replaces one that no tick has taken.
+    ///
+    /// # Errors
+    /// A place that is not finite.
+    pub fn give(&mut self, task: Task) -> Result<(), PlaceNotFinite> {
+        self.task = Some(task.check()?);
+        Ok(())
     }
 
     /// Number of ticks so far.

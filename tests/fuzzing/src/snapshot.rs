@@ -53,6 +53,7 @@ fn run_ticks(robot: &mut Robot) {
             scan_odom: wheel.odom,
             frame,
             truth: None,
+            task: None,
             safety: &SafetyReport::default(),
         };
         let recorded = RecordedTick::capture(&input, None).expect("an RGB8 frame");

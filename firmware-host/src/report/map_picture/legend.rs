@@ -13,8 +13,12 @@ const ROW: i64 = 26;
 pub(super) fn draw(picture: &MapPlot<'_>, canvas: &mut Canvas, view: &View) {
     let top = view.page_height - LEGEND;
     surfaces(picture, &mut Row { canvas, x: GAP, y: top });
-    paths(picture, &mut Row { canvas, x: GAP, y: top + ROW });
-    markers(picture, &mut Row { canvas, x: GAP, y: top + 2 * ROW });
+    let has_path = picture.trajectory.len() > 1 || picture.truth.is_some();
+    if has_path {
+        paths(picture, &mut Row { canvas, x: GAP, y: top + ROW });
+    }
+    let below = if has_path { 2 } else { 1 };
+    markers(picture, has_path, &mut Row { canvas, x: GAP, y: top + below * ROW });
 }
 
 fn surfaces(picture: &MapPlot<'_>, row: &mut Row<'_>) {
@@ -45,11 +49,13 @@ fn paths(picture: &MapPlot<'_>, row: &mut Row<'_>) {
     }
 }
 
-fn markers(picture: &MapPlot<'_>, row: &mut Row<'_>) {
-    marks::dot(row.canvas, row.marker());
-    row.label("start");
+fn markers(picture: &MapPlot<'_>, has_path: bool, row: &mut Row<'_>) {
+    if has_path {
+        marks::dot(row.canvas, row.marker());
+        row.label("start");
+    }
     marks::arrow(row.canvas, row.marker(), 0.0, 7.0);
-    row.label("robot at the end");
+    row.label(if has_path { "robot at the end" } else { "robot" });
     for (fate, label) in [
         (GoalFate::Reached, "goal reached"),
         (GoalFate::Seen, "goal seen from afar"),

@@ -171,6 +171,9 @@ impl MapPlot<'_> {
         canvas.text(GAP, 36, &Font::Label.fit(self.figures, width), Font::Label, FAINT);
         self.draw_cells(&mut canvas, &view);
         draw_grid(&mut canvas, &view);
+        if self.truth.is_none() {
+            draw_coordinates(&mut canvas, &view);
+        }
         self.draw_reachable(&mut canvas, &view);
         self.draw_paths(&mut canvas, &view);
         self.draw_markers(&mut canvas, &view);
@@ -225,7 +228,9 @@ impl MapPlot<'_> {
         marks::trips(canvas, view, self.trips);
         let path = self.truth.map_or(self.trajectory, |truth| truth.trajectory);
         if let (Some(start), Some(end)) = (path.first(), path.last()) {
-            marks::dot(canvas, view.pixel([start.x_m, start.y_m]));
+            if path.len() > 1 {
+                marks::dot(canvas, view.pixel([start.x_m, start.y_m]));
+            }
             marks::robot(canvas, view, end);
         }
     }
@@ -267,6 +272,31 @@ fn draw_grid(canvas: &mut Canvas, view: &View) {
         let next = view.meters(x + 1, y - 1).map(f64::floor);
         if here[0] != next[0] || here[1] != next[1] {
             canvas.blend(x, y, GRID, 0.25);
+        }
+    }
+}
+
+/// Writes the coordinates in `map` beside the lines of the grid: the numbers that `go-to` takes.
+fn draw_coordinates(canvas: &mut Canvas, view: &View) {
+    // At this scale the numbers of neighbouring lines do not touch.
+    let step = if view.pixels_per_m < 50.0 { 5 } else { 1 };
+    if view.pixels_per_m < 20.0 {
+        return;
+    }
+    let [right_m, top_m] = view.meters(view.left + view.width, view.top);
+    let whole = |from_m: f64, to_m: f64| from_m.ceil() as i64..=to_m.floor() as i64;
+    for x_m in whole(view.min_m[0], right_m).filter(|x_m| x_m % step == 0) {
+        let [x, _] = view.pixel([x_m as f64, top_m]);
+        let text = format!("x {x_m}");
+        if x as i64 + 4 + Font::Label.width(&text) < view.left + view.width {
+            canvas.text(x as i64 + 4, view.top + 2, &text, Font::Label, FAINT);
+        }
+    }
+    for y_m in whole(view.min_m[1], top_m).filter(|y_m| y_m % step == 0) {
+        let [_, y] = view.pixel([right_m, y_m as f64]);
+        let text = format!("y {y_m}");
+        if y as i64 - 18 > view.top + 20 {
+            canvas.text(view.left + 4, y as i64 - 18, &text, Font::Label, FAINT);
         }
     }
 }

@@ -1,0 +1,156 @@
+//! `--keep-out FILE`: areas that the robot must not enter, from a GeoJSON file.
+//!
+//! The polygons become part of the configuration, and with it of the recording, so that a replay needs no file. Their coordinates
+//! are metres in `map`, as in the `walls.geojson` of `firmware-host map export`, and not the degrees of RFC 7946.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use runtime::exploration::PolicyKind;
+use serde_json::Value;
+
+use crate::config::Config;
+
+/// The corners of an area, metres.
+type Polygon = Vec<[f64; 2]>;
+
+/// Adds the areas of a file to the configuration, and checks that the policy can keep out of all areas.
+///
+/// # Errors
+/// A file that cannot be read or has other shapes than polygons without holes; a policy that drives without a path.
+pub fn close(file: Option<&Path>, policy: PolicyKind, config: &mut Config) -> Result<()> {
+    if let Some(path) = file {
+        let text = std::fs::read_to_string(path)
+            .with_context(|| format!("cannot read {}", path.display()))?;
+        let polygons = parse(&text).with_context(|| format!("--keep-out {}", path.display()))?;
+        config.planning.keep_out_m.extend(polygons);
+        config.plan_config().validate()?;
+    }
+    if config.planning.keep_out_m.is_empty() {
+        return Ok(());
+    }
+    if matches!(policy, PolicyKind::Random | PolicyKind::Heuristic | PolicyKind::Forward) {
+        bail!(
+            "the policy `{}` plans no paths and would enter the closed areas; use --policy active, frontier or inconsistency",
+            policy.name()
+        );
+    }
+    if config.exploration.warm_up_frames > 0 {
+        bail!(
+            "the robot plans no paths in exploration.warm_up_frames and would enter the closed areas; set it to 0"
+        );
+    }
+    Ok(())
+}
+
+/// All polygons of a GeoJSON text.
+fn parse(text: &str) -> Result<Vec<Polygon>> {
+    let value: Value = serde_json::from_str(text).context("not JSON")?;
+    let mut polygons = Vec::new();
+    collect(&value, &mut polygons)?;
+    if polygons.is_empty() {
+        bail!("the file has no polygon");
+    }
+    Ok(polygons)
+}
+
+fn collect(value: &Value, into: &mut Vec<Polygon>) -> Result<()> {
+    let parts = |key: &str| value[key].as_array().with_context(|| format!("`{key}` is not a list"));
+    match value["type"].as_str() {
+        Some("FeatureCollection") => {
+            parts("features")?.iter().try_for_each(|feature| collect(feature, into))
+        }
+        Some("Feature") => collect(&value["geometry"], into),
+        Some("GeometryCollection") => {
+            parts("geometries")?.iter().try_for_each(|geometry| collect(geometry, into))
+        }
+        Some("Polygon") => {
+            into.push(polygon(&value["coordinates"])?);
+            Ok(())
+        }
+        Some("MultiPolygon") => {
+            for rings in parts("coordinates")? {
+                into.push(polygon(rings)?);
+            }
+            Ok(())
+        }
+        Some(other) => bail!("a {other} is not an area; only Polygon and MultiPolygon are"),
+        None => bail!("a part without `type` is not GeoJSON"),
+    }
+}
+
+fn polygon(rings: &Value) -> Result<Polygon> {
+    // Positions may have a height, which does not matter.
+    let rings: Vec<Vec<Vec<f64>>> = serde_json::from_value(rings.clone())
+        .context("the coordinates of a polygon are not lists of numbers")?;
+    let [ring] = rings.as_slice() else {
+        bail!("a polygon has holes: draw it as several polygons without holes");
+    };
+    let corners = ring.iter().map(|position| match position[..] {
+        [x_m, y_m, ..] => Ok([x_m, y_m]),
+        _ => bail!("a corner has fewer than two coordinates"),
+    });
+    let mut corners = corners.collect::<Result<Polygon>>()?;
+    if corners.first() == corners.last() {
+        corners.pop();
+    }
+    if corners.len() < 3 {
+        bail!("a polygon has fewer than three corners");
+    }
+    Ok(corners)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SQUARE: &str = "[[[0, 0], [2, 0], [2, 1.5], [0, 1.5], [0, 0]]]";
+
+    fn geometry(kind: &str, coordinates: &str) -> String {
+        format!(r#"{{"type": "{kind}", "coordinates": {coordinates}}}"#)
+    }
+
+    #[test]
+    fn polygons_are_found_in_every_wrapping_and_are_not_closed_twice() {
+        let square = vec![[0.0, 0.0], [2.0, 0.0], [2.0, 1.5], [0.0, 1.5]];
+        let bare = geometry("Polygon", SQUARE);
+        let feature = format!(r#"{{"type": "Feature", "properties": null, "geometry": {bare}}}"#);
+        let all = format!(r#"{{"type": "FeatureCollection", "features": [{feature}, {feature}]}}"#);
+        let multi = geometry("MultiPolygon", &format!("[{SQUARE}]"));
+        for (text, count) in [(&bare, 1), (&feature, 1), (&all, 2), (&multi, 1)] {
+            assert_eq!(parse(text).unwrap(), vec![square.clone(); count], "{text}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_an_area_is_refused_with_its_name() {
+        let hole = "[[[0,0],[3,0],[3,3],[0,0]], [[1,1],[2,1],[2,2],[1,1]]]";
+        for (text, words) in [
+            (geometry("LineString", "[[0,0],[1,1]]"), "a LineString is not an area"),
+            (geometry("Polygon", hole), "has holes"),
+            (geometry("Polygon", "[[[0,0],[1,1],[0,0]]]"), "fewer than three corners"),
+            (geometry("Polygon", "[[[0],[1],[2],[0]]]"), "fewer than two coordinates"),
+            (r#"{"type": "FeatureCollection", "features": []}"#.to_owned(), "no polygon"),
+            ("{}".to_owned(), "without `type`"),
+            ("[".to_owned(), "not JSON"),
+        ] {
+            let error = parse(&text).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_policy_without_paths_and_a_corner_far_away_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("closed.geojson");
+        std::fs::write(&path, geometry("Polygon", SQUARE)).unwrap();
+        let mut config = Config::default();
+        close(Some(&path), PolicyKind::Active, &mut config).unwrap();
+        assert_eq!(config.planning.keep_out_m.len(), 1);
+        let error = close(None, PolicyKind::Random, &mut config).unwrap_err().to_string();
+        assert!(error.contains("`random` plans no paths"), "{error}");
+        // Degrees times 1e5 are no metres of a home.
+        std::fs::write(&path, geometry("Polygon", "[[[5e6,0],[5e6,1],[4e6,1],[5e6,0]]]")).unwrap();
+        assert!(close(Some(&path), PolicyKind::Active, &mut Config::default()).is_err());
+    }
+}

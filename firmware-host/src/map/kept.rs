@@ -1,0 +1,88 @@
+//! `--map FILE`: the map that a run begins with and leaves behind.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use hal::ScanGeometry;
+use runtime::robot::Robot;
+
+use super::file::{About, MapFile};
+use crate::config::Config;
+
+/// The map file of a run.
+#[derive(Debug)]
+pub struct KeptMap {
+    path: PathBuf,
+    scanner_height_m: f64,
+    /// BLAKE3 digest of the state that the run began with; `None` for a new map.
+    loaded: Option<String>,
+    /// The scanner that the loaded map was made with.
+    scanner: Option<ScanGeometry>,
+}
+
+impl KeptMap {
+    /// Loads the map into a robot that has not driven yet, if the file exists.
+    ///
+    /// # Errors
+    /// A file that is damaged, of another version or of another robot, and a folder that is missing. The file stays as it is.
+    pub fn open(path: &Path, robot: &mut Robot, config: &Config) -> Result<Self> {
+        let scanner_height_m = config.lidar.height_m;
+        let kept = Self { path: path.to_owned(), scanner_height_m, loaded: None, scanner: None };
+        if !path.exists() {
+            // Found out now and not at the end of the run.
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+            if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+                bail!("{} is not a folder, so the map cannot be saved there", folder.display());
+            }
+            return Ok(kept);
+        }
+        let file = MapFile::read(path)?;
+        if file.about.scanner_height_m.to_bits() != scanner_height_m.to_bits() {
+            bail!(
+                "the map {} was made with lidar.height_m = {}, and this robot has {scanner_height_m}: use another file",
+                path.display(),
+                file.about.scanner_height_m,
+            );
+        }
+        robot
+            .load_map_state(&file.state)
+            .with_context(|| format!("cannot use the map {}", path.display()))?;
+        let loaded = Some(blake3::hash(&file.state).to_hex().to_string());
+        Ok(Self { loaded, scanner: robot.scanner(), ..kept })
+    }
+
+    /// BLAKE3 digest of the map state that the run began with, in hex; `None` for a new map.
+    #[must_use]
+    pub fn loaded(&self) -> Option<&str> {
+        self.loaded.as_deref()
+    }
+
+    /// Compares the scanner with that of the loaded map, before the robot gets the scan.
+    ///
+    /// # Errors
+    /// Another scanner: localization would take none of its scans.
+    pub fn check(&self, scanner: &ScanGeometry) -> Result<()> {
+        match &self.scanner {
+            Some(known) if known != scanner => bail!(
+                "the map {} was made with another scanner ({} beams of {:.3} degrees; this one has {} of {:.3}): use another \
+                 file",
+                self.path.display(),
+                known.beams,
+                known.angle_increment_rad.to_degrees(),
+                scanner.beams,
+                scanner.angle_increment_rad.to_degrees(),
+            ),
+            _ => Ok(()),
+        }
+    }
+
+    /// Replaces the file with the robot's map.
+    ///
+    /// # Errors
+    /// When it cannot be written. The old file then stays.
+    pub fn save(&self, robot: &Robot) -> Result<()> {
+        let about = About::now(self.scanner_height_m);
+        MapFile { about, state: robot.map_state() }.write(&self.path)?;
+        Ok(())
+    }
+}

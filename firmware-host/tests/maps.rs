@@ -1,0 +1,216 @@
+//! Maps, closed areas and tasks, as a user has them: explore, save, explore again.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use assert_cmd::Command;
+use firmware_host::config::Config;
+use firmware_host::map::MapFile;
+use firmware_host::recorded::Recorded;
+use firmware_host::simulation::simulated_robot;
+use hal::Pose2;
+use runtime::recording::RecordedTick;
+use simulator::{OpenOptions, SimulatedRobot, World};
+use tempfile::TempDir;
+
+const SMALL: &str = "[camera]\nwidth = 160\nheight = 64\n[map]\nside_cells = 500\n";
+const SCENE: &str = "builtin:apartment?seed=1";
+
+fn firmware_host(args: &[&str]) -> Output {
+    Command::cargo_bin("firmware-host").unwrap().args(args).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// A folder with a configuration, in which runs are made.
+struct Home {
+    dir: TempDir,
+}
+
+impl Home {
+    fn new() -> Self {
+        let dir = TempDir::new().unwrap();
+        std::fs::write(dir.path().join("robot.toml"), SMALL).unwrap();
+        Self { dir }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    fn text(&self, name: &str) -> String {
+        self.path(name).to_str().unwrap().to_owned()
+    }
+
+    fn explore(&self, name: &str, frames: &str, more: &[&str]) -> Output {
+        let (config, out) = (self.text("robot.toml"), self.text(name));
+        let mut args = vec!["explore", "--scene", SCENE, "--seed", "5", "--odometry", "perfect"];
+        args.extend(["--frames", frames, "--config", &config, "--out", &out]);
+        args.extend(more);
+        firmware_host(&args)
+    }
+
+    fn explored(&self, name: &str, frames: &str, more: &[&str]) -> serde_json::Value {
+        let output = self.explore(name, frames, more);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let summary = std::fs::read(self.path(name).join("summary.json")).unwrap();
+        serde_json::from_slice(&summary).unwrap()
+    }
+
+    /// Where a run ended in the world, as the `--start` of the next one.
+    fn end_of(&self, run: &str) -> String {
+        let mut config = Config::load(&self.path("robot.toml")).unwrap();
+        config.simulator.odometry = firmware_host::config::Odometry::Perfect;
+        let world = World::open(SCENE, &OpenOptions::default()).unwrap();
+        let robot = SimulatedRobot::new(world.into(), simulated_robot(&config, 5, None)).unwrap();
+        let last = ticks(&self.path(run)).pop().unwrap();
+        let Pose2 { x_m, y_m, yaw_rad } = robot.devices().truth.pose().compose(&last.wheel.odom);
+        format!("{x_m},{y_m},{}", yaw_rad.to_degrees())
+    }
+}
+
+fn ticks(run: &Path) -> Vec<RecordedTick> {
+    Recorded::open(run).unwrap().ticks().map(Result::unwrap).collect()
+}
+
+fn replayed(run: &str) -> String {
+    text(&firmware_host(&["replay", run]).stdout)
+}
+
+#[test]
+fn a_home_that_was_saved_is_known_when_the_next_run_begins_and_that_run_replays() {
+    let home = Home::new();
+    let map = home.text("home.map");
+    let first = home.explored("first", "120", &["--map", &map]);
+    let saved = std::fs::read(&map).unwrap();
+    let start = home.end_of("first");
+    let next = ["--start", &start];
+    let without = home.explored("without", "10", &next);
+    let again = home.explored("again", "10", &[next[0], next[1], "--map", &map]);
+    let coverage = |summary: &serde_json::Value| summary["coverage"].as_f64().unwrap();
+    assert!(coverage(&again) > coverage(&without) + 0.05, "{again} {without}");
+    assert!(coverage(&again) > 0.95 * coverage(&first), "{again} {first}");
+    assert!(replayed(&home.text("again")).ends_with("replay: ticks=10 mismatches=0\n"));
+    assert_ne!(std::fs::read(&map).unwrap(), saved, "the file holds the newer map");
+}
+
+#[test]
+fn the_map_of_a_recording_is_the_one_that_the_run_saved() {
+    let home = Home::new();
+    let map = home.text("home.map");
+    home.explored("run", "40", &["--map", &map]);
+    let (run, copy) = (home.text("run"), home.text("copy.map"));
+    let saved = firmware_host(&["map", "save", &run, "--out", &copy]);
+    assert!(saved.status.success(), "{}", text(&saved.stderr));
+    let state = |path: &str| MapFile::read(Path::new(path)).unwrap().state;
+    assert!(state(&map) == state(&copy));
+    let again = firmware_host(&["map", "save", &run, "--out", &copy]);
+    assert!(!again.status.success() && text(&again.stderr).contains("exists already"));
+}
+
+#[test]
+fn a_map_is_shown_and_exported_for_other_programs() {
+    let home = Home::new();
+    let map = home.text("home.map");
+    home.explored("run", "40", &["--map", &map]);
+    let shown = text(&firmware_host(&["map", "show", &map]).stdout);
+    for words in ["saved", "free floor", "submaps", "1081 beams, 270.0 degrees"] {
+        assert!(shown.contains(words), "{shown}");
+    }
+    let folders = [("from_file", &map), ("from_run", &home.text("run"))];
+    for (name, from) in folders {
+        let out = home.text(name);
+        let exported = firmware_host(&["map", "export", from, "--out", &out]);
+        assert!(exported.status.success(), "{}", text(&exported.stderr));
+    }
+    let read = |name: &str, file: &str| std::fs::read(home.path(name).join(file)).unwrap();
+    for file in ["map.pgm", "map.yaml", "walls.geojson"] {
+        assert!(read("from_file", file) == read("from_run", file), "{file}");
+    }
+    assert!(read("from_file", "map.png").len() > 1000);
+    let pgm = read("from_file", "map.pgm");
+    let header = text(&pgm[..pgm.iter().position(|byte| *byte == b'\n').unwrap() + 20]);
+    let mut numbers = header.split_whitespace().skip(1).map(str::parse::<usize>);
+    let [width, height] = [(); 2].map(|()| numbers.next().unwrap().unwrap());
+    let pixels = &pgm[pgm.len() - width * height..];
+    assert!(pixels.iter().all(|pixel| [0, 205, 254].contains(pixel)));
+    let occupied = pixels.iter().filter(|pixel| **pixel == 0).count();
+    let walls: serde_json::Value =
+        serde_json::from_slice(&read("from_file", "walls.geojson")).unwrap();
+    let features = walls["features"].as_array().unwrap();
+    let cells = features.iter().map(|feature| feature["properties"]["cells"].as_u64().unwrap());
+    assert_eq!(cells.sum::<u64>(), occupied as u64);
+}
+
+#[test]
+fn a_damaged_map_and_one_of_another_robot_are_refused_and_stay_as_they_are() {
+    let home = Home::new();
+    let map = home.text("home.map");
+    home.explored("run", "20", &["--map", &map]);
+    let good = std::fs::read(&map).unwrap();
+    let mut damaged = good.clone();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 1;
+    std::fs::write(&map, &damaged).unwrap();
+    let refused = |words: &str| {
+        let output = home.explore("refused", "20", &["--map", &map]);
+        assert!(!output.status.success() && !home.path("refused").exists());
+        assert!(text(&output.stderr).contains(words), "{}", text(&output.stderr));
+    };
+    refused("home.map is damaged");
+    assert!(std::fs::read(&map).unwrap() == damaged);
+
+    std::fs::write(&map, &good).unwrap();
+    for (section, words) in [
+        ("[lidar]\nforward_m = 0.07\n", "lidar.forward_m"),
+        ("[lidar]\nheight_m = 0.31\n", "lidar.height_m"),
+        ("[localization]\nsource = \"wheels\"\n", "localization.source"),
+    ] {
+        std::fs::write(home.path("robot.toml"), format!("{SMALL}{section}")).unwrap();
+        refused(words);
+        assert!(std::fs::read(&map).unwrap() == good);
+    }
+}
+
+#[test]
+fn a_robot_stays_within_a_fence_and_the_fence_is_in_the_recording() {
+    let home = Home::new();
+    let inside_m = 0.9;
+    // Four strips around the start.
+    let strips = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]].map(|[x, y]: [f64; 2]| {
+        let corner = |out: f64, along: f64| [x * out - y * along, y * out + x * along];
+        serde_json::json!([[
+            corner(inside_m, -1.1),
+            corner(1.0, -1.1),
+            corner(1.0, 1.1),
+            corner(inside_m, 1.1)
+        ]])
+    });
+    let fence = serde_json::json!({ "type": "MultiPolygon", "coordinates": strips });
+    std::fs::write(home.path("fence.geojson"), fence.to_string()).unwrap();
+    let farthest_m = |name: &str| {
+        let poses = ticks(&home.path(name)).into_iter().map(|tick| tick.t_map_base());
+        poses.map(|pose| pose.x_m.abs().max(pose.y_m.abs())).fold(0.0, f64::max)
+    };
+    home.explored("free", "150", &[]);
+    assert!(farthest_m("free") > inside_m, "{} m without a fence", farthest_m("free"));
+    let path = home.text("fence.geojson");
+    home.explored("fenced", "150", &["--keep-out", &path]);
+    assert!(farthest_m("fenced") < inside_m, "{} m with a fence", farthest_m("fenced"));
+    std::fs::remove_file(&path).unwrap();
+    assert!(replayed(&home.text("fenced")).ends_with("mismatches=0\n"));
+}
+
+#[test]
+fn a_robot_drives_to_the_place_that_it_was_given_and_the_run_replays() {
+    let home = Home::new();
+    let summary = home.explored("run", "60", &["--go-to", "0.4,0.1"]);
+    assert_eq!(summary["goals"]["chosen"]["task"], 1, "{summary}");
+    assert_eq!(summary["goals"]["reached"], 1, "{summary}");
+    let last = ticks(&home.path("run")).pop().unwrap().t_map_base();
+    assert!(last.distance_m(&Pose2::new(0.4, 0.1, 0.0)) < 0.15, "{last:?}");
+    assert!(replayed(&home.text("run")).ends_with("replay: ticks=60 mismatches=0\n"));
+}

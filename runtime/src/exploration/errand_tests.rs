@@ -1,0 +1,164 @@
+//! Tasks, the way back, and the end of exploration, in a round hall that is known from the beginning.
+
+use hal::{LaserScan, Pose2, Range, ScanGeometry, wrap_angle};
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+
+use super::{ExplorationConfig, Explorer, Observations, PolicyKind};
+use crate::event::{DropReason, Event, GoalReason};
+use crate::mapping::{MapConfig, OccupancyGrid};
+use crate::planning::{FollowerConfig, PlanConfig, Primitive};
+use crate::task::Task;
+
+const START: Pose2 = Pose2 { x_m: 0.3, y_m: -0.2, yaw_rad: 0.5 };
+
+/// A wall 1.5 m around the origin, and floor within.
+fn hall() -> OccupancyGrid {
+    let mut map = OccupancyGrid::new(&MapConfig::default()).unwrap();
+    let geometry = ScanGeometry::UTM_30LX;
+    for _ in 0..5 {
+        for yaw_rad in [0.0, std::f64::consts::PI] {
+            let pose = Pose2::new(0.0, 0.0, yaw_rad);
+            let ranges = vec![Range::Hit(1.5); geometry.beams];
+            let scan = LaserScan { time_ns: 0, geometry, ranges };
+            map.begin_update(&pose).unwrap();
+            map.integrate_scan(&scan, &pose).unwrap();
+            map.finish_update();
+        }
+    }
+    map
+}
+
+/// A robot that does exactly what its policy decides.
+struct Drive {
+    explorer: Explorer,
+    map: OccupancyGrid,
+    pose: Pose2,
+    tick: u64,
+    events: Vec<Event>,
+}
+
+impl Drive {
+    fn new(config: ExplorationConfig) -> Self {
+        let plan = PlanConfig::default();
+        let follow = FollowerConfig::default();
+        let rng = Pcg64Mcg::seed_from_u64(3);
+        let explorer = Explorer::new(PolicyKind::Frontier, config, &plan, &follow, rng).unwrap();
+        Self { explorer, map: hall(), pose: START, tick: 0, events: Vec::new() }
+    }
+
+    fn step(&mut self) -> Primitive {
+        let senses = Observations {
+            tick: self.tick,
+            time_ns: self.tick * 100_000_000,
+            pose: self.pose,
+            map: &self.map,
+            frame_maps: None,
+            bumped: false,
+        };
+        let primitive = self.explorer.step(&senses, &mut self.events);
+        let rotation_rad = 2_f64.to_radians();
+        let motion = match primitive {
+            Primitive::Forward => Pose2::new(0.03, 0.0, 0.0),
+            Primitive::TurnLeft => Pose2::new(0.0, 0.0, rotation_rad),
+            Primitive::TurnRight => Pose2::new(0.0, 0.0, -rotation_rad),
+            _ => Pose2::IDENTITY,
+        };
+        self.pose = self.pose.compose(&motion);
+        self.tick += 1;
+        primitive
+    }
+
+    fn begin(&mut self, task: Task) {
+        self.explorer.begin(task, &mut self.events);
+    }
+
+    /// The last primitives of a drive over some ticks.
+    fn steps(&mut self, ticks: usize) -> Vec<Primitive> {
+        (0..ticks).map(|_| self.step()).collect()
+    }
+
+    fn stands(&mut self) -> bool {
+        self.steps(30).iter().all(|step| *step == Primitive::Stay)
+    }
+
+    fn count(&self, event: &Event) -> usize {
+        self.events.iter().filter(|one| *one == event).count()
+    }
+}
+
+#[test]
+fn when_all_is_seen_it_is_reported_once_and_the_robot_goes_on() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.steps(3000);
+    assert_eq!(drive.count(&Event::Explored), 1);
+    assert!(drive.explorer.is_done());
+    assert!(!drive.stands());
+}
+
+#[test]
+fn a_robot_that_shall_return_stands_at_the_end_where_and_as_it_began() {
+    let config = ExplorationConfig { return_to_start: true, ..ExplorationConfig::default() };
+    let mut drive = Drive::new(config);
+    let mut farthest_m: f64 = 0.0;
+    while !drive.explorer.is_done() && drive.tick < 5000 {
+        drive.step();
+        farthest_m = farthest_m.max(drive.pose.distance_m(&START));
+    }
+    assert_eq!(drive.count(&Event::Explored), 1);
+    assert!(farthest_m > 0.5, "it was elsewhere meanwhile");
+    assert!(drive.pose.distance_m(&START) < 0.1, "{:?}", drive.pose);
+    assert!(wrap_angle(drive.pose.yaw_rad - START.yaw_rad).abs() < 0.06, "{:?}", drive.pose);
+    assert!(drive.stands());
+}
+
+#[test]
+fn a_task_is_driven_to_its_place_and_the_robot_stands_there_until_it_may_explore_again() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.steps(20);
+    let (x_m, y_m) = (-0.6, 0.4);
+    drive.begin(Task::GoTo { x_m, y_m });
+    drive.steps(600);
+    let chosen = Event::GoalChosen { x_m, y_m, why: GoalReason::Task };
+    assert_eq!((drive.count(&chosen), drive.count(&Event::GoalReached)), (1, 1));
+    assert!(drive.pose.distance_m(&Pose2::new(x_m, y_m, 0.0)) < 0.1, "{:?}", drive.pose);
+    assert!(drive.stands() && drive.explorer.goal().is_none());
+    drive.begin(Task::Return);
+    drive.steps(600);
+    assert!(drive.pose.distance_m(&START) < 0.1 && drive.stands());
+    drive.begin(Task::Explore);
+    assert!(!drive.stands());
+}
+
+#[test]
+fn a_place_that_cannot_be_reached_is_tried_three_times_and_then_the_robot_stands() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.begin(Task::GoTo { x_m: 1.9, y_m: 0.0 });
+    drive.steps(700);
+    assert_eq!(drive.count(&Event::GoalDropped { why: DropReason::Unreachable }), 3);
+    assert!(drive.stands() && drive.pose == START);
+}
+
+#[test]
+fn a_new_task_takes_the_place_of_the_one_before() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.begin(Task::GoTo { x_m: -0.6, y_m: 0.4 });
+    drive.steps(10);
+    drive.begin(Task::GoTo { x_m: 0.0, y_m: -0.7 });
+    assert_eq!(drive.count(&Event::GoalDropped { why: DropReason::Task }), 1);
+    drive.steps(600);
+    assert!(drive.pose.distance_m(&Pose2::new(0.0, -0.7, 0.0)) < 0.1, "{:?}", drive.pose);
+}
+
+#[test]
+fn places_move_with_the_map() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.steps(5);
+    drive.begin(Task::Return);
+    let shift = Pose2::new(0.2, -0.1, 0.3);
+    drive.explorer.move_places(|[x_m, y_m]| shift.transform(x_m, y_m).into());
+    drive.steps(600);
+    let moved = shift.compose(&START);
+    assert!(drive.pose.distance_m(&moved) < 0.1, "{:?}", drive.pose);
+    assert!(wrap_angle(drive.pose.yaw_rad - moved.yaw_rad).abs() < 0.06, "{:?}", drive.pose);
+}

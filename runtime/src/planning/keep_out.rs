@@ -1,0 +1,165 @@
+//! Areas that a person has closed for the robot.
+
+use crate::mapping::CellBox;
+
+/// Polygons in `map`. Every cell that a polygon covers or touches counts as occupied for the planner; the map itself does not
+/// change.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct KeepOut {
+    /// Each with its corners in order, metres.
+    polygons_m: Vec<Vec<[f64; 2]>>,
+}
+
+impl KeepOut {
+    /// Areas with these corners, in metres. An area with fewer than three corners is a point or a line.
+    #[must_use]
+    pub fn new(polygons_m: Vec<Vec<[f64; 2]>>) -> Self {
+        Self { polygons_m }
+    }
+
+    /// Whether there is no area.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.polygons_m.is_empty()
+    }
+
+    /// Whether a point in `map` lies in an area.
+    #[must_use]
+    pub fn contains(&self, [x_m, y_m]: [f64; 2]) -> bool {
+        self.polygons_m.iter().any(|polygon| {
+            let crossings = edges(polygon).filter_map(|edge| crossing_m(edge, y_m));
+            crossings.filter(|crossing_m| *crossing_m <= x_m).count() % 2 == 1
+        })
+    }
+
+    /// Writes `value` into each cell of a row that an area covers or touches. `row` begins at the left of `cells`.
+    pub(super) fn write_row(
+        &self,
+        cells: CellBox,
+        y: i32,
+        cell_m: f64,
+        value: f32,
+        row: &mut [f32],
+    ) {
+        for polygon in &self.polygons_m {
+            let bottom_m = f64::from(y) * cell_m;
+            let middle_m = bottom_m + 0.5 * cell_m;
+            let mut crossings: Vec<f64> =
+                edges(polygon).filter_map(|edge| crossing_m(edge, middle_m)).collect();
+            crossings.sort_by(f64::total_cmp);
+            let inside = crossings.as_chunks::<2>().0.iter().copied();
+            let touched =
+                edges(polygon).filter_map(|edge| within(edge, bottom_m, bottom_m + cell_m));
+            for [from_m, to_m] in inside.chain(touched) {
+                let column = |x_m: f64| (x_m / cell_m).floor() as i64 - i64::from(cells.min.x);
+                let from = column(from_m).clamp(0, row.len() as i64) as usize;
+                let to = (column(to_m) + 1).clamp(from as i64, row.len() as i64) as usize;
+                row[from..to].fill(value);
+            }
+        }
+    }
+}
+
+type Edge = [[f64; 2]; 2];
+
+/// The sides of a polygon, the last one back to its first corner.
+fn edges(polygon: &[[f64; 2]]) -> impl Iterator<Item = Edge> + '_ {
+    polygon.iter().zip(polygon.iter().cycle().skip(1)).map(|(from, to)| [*from, *to])
+}
+
+/// Where an edge crosses the line of this y. The lower end of an edge belongs to it and the upper one does not, so that a corner
+/// counts once.
+fn crossing_m([a, b]: Edge, y_m: f64) -> Option<f64> {
+    ((a[1] <= y_m) != (b[1] <= y_m)).then(|| a[0] + (y_m - a[1]) / (b[1] - a[1]) * (b[0] - a[0]))
+}
+
+/// The extent in x of the part of an edge between two values of y.
+fn within([a, b]: Edge, from_m: f64, to_m: f64) -> Option<[f64; 2]> {
+    let low_m = a[1].min(b[1]).max(from_m);
+    let high_m = a[1].max(b[1]).min(to_m);
+    if low_m > high_m {
+        return None;
+    }
+    let rise_m = b[1] - a[1];
+    let [one, other] = if rise_m == 0.0 {
+        [a[0], b[0]]
+    } else {
+        [low_m, high_m].map(|y_m| a[0] + (y_m - a[1]) / rise_m * (b[0] - a[0]))
+    };
+    Some([one.min(other), one.max(other)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::Cell;
+    use proptest::prelude::*;
+
+    const CELL_M: f64 = 0.1;
+
+    /// The closed cells around the origin, row by row from the lowest.
+    fn closed(keep_out: &KeepOut) -> Vec<Vec<bool>> {
+        let cells = CellBox { min: Cell::new(-20, -20), max: Cell::new(19, 19) };
+        let rows = (-20..20).map(|y| {
+            let mut row = vec![0.0; 40];
+            keep_out.write_row(cells, y, CELL_M, 1.0, &mut row);
+            row.iter().map(|value| *value > 0.0).collect()
+        });
+        rows.collect()
+    }
+
+    fn polygon() -> impl Strategy<Value = Vec<[f64; 2]>> {
+        prop::collection::vec([-1.9..1.9_f64, -1.9..1.9_f64], 3..8)
+    }
+
+    #[test]
+    fn a_square_closes_its_cells_and_no_other() {
+        let square = vec![[0.01, 0.01], [0.49, 0.01], [0.49, 0.29], [0.01, 0.29]];
+        let closed = closed(&KeepOut::new(vec![square]));
+        for (row, cells) in closed.iter().enumerate() {
+            for (column, is_closed) in cells.iter().enumerate() {
+                let inside = (20..25).contains(&column) && (20..23).contains(&row);
+                assert_eq!(*is_closed, inside, "{column} {row}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_line_closes_a_path_of_cells_without_gaps() {
+        let closed = closed(&KeepOut::new(vec![vec![[-1.5, -1.2], [1.4, 1.3]]]));
+        let (first, last) = (8, 33);
+        for row in first..last {
+            let shared = closed[row].iter().zip(&closed[row + 1]).any(|(a, b)| *a && *b);
+            assert!(row + 1 == last || shared, "a robot could pass at row {row}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn every_cell_whose_middle_lies_in_an_area_is_closed(polygon in polygon()) {
+            let keep_out = KeepOut::new(vec![polygon]);
+            for (row, cells) in closed(&keep_out).iter().enumerate() {
+                for (column, is_closed) in cells.iter().enumerate() {
+                    let middle = [column, row].map(|at| (at as f64 - 20.0 + 0.5) * CELL_M);
+                    prop_assert!(*is_closed || !keep_out.contains(middle));
+                }
+            }
+        }
+
+        #[test]
+        fn cells_far_from_an_area_stay_open(polygon in polygon()) {
+            let keep_out = KeepOut::new(vec![polygon.clone()]);
+            let low = [0, 1].map(|axis| polygon.iter().map(|at| at[axis]).fold(9.0, f64::min));
+            let high = [0, 1].map(|axis| polygon.iter().map(|at| at[axis]).fold(-9.0, f64::max));
+            for (row, cells) in closed(&keep_out).iter().enumerate() {
+                for (column, is_closed) in cells.iter().enumerate() {
+                    let middle = [column, row].map(|at| (at as f64 - 20.0 + 0.5) * CELL_M);
+                    let is_far = (0..2).any(|axis| {
+                        middle[axis] < low[axis] - CELL_M || middle[axis] > high[axis] + CELL_M
+                    });
+                    prop_assert!(!(is_far && *is_closed));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,176 @@
+use hal::{CameraModel, LaserScan, Pose2, Pose3, Range, ScanGeometry};
+
+use super::*;
+use crate::localization::PoseSource;
+use crate::planning::FollowerConfig;
+use crate::recording::RecordedTick;
+use crate::session::recompute;
+
+/// Half of the sides of a room around the origin, metres.
+const ROOM_M: [f64; 2] = [2.0, 1.4];
+/// One beam per degree.
+const GEOMETRY: ScanGeometry = ScanGeometry {
+    beams: 270,
+    angle_min_rad: -134.5 * std::f64::consts::PI / 180.0,
+    angle_increment_rad: std::f64::consts::PI / 180.0,
+    ..ScanGeometry::UTM_30LX
+};
+
+fn config() -> RobotConfig {
+    RobotConfig {
+        camera: CameraModel::pinhole(64, 32, 1.5),
+        t_base_camera: Pose3::identity(),
+        laser_forward_m: 0.0,
+        forward_step_m: 0.03,
+        rotation_step_rad: 2f64.to_radians(),
+        tick_s: 0.1,
+        localization: LocalizationConfig::default(),
+        command_delay_s: 0.01,
+        policy: PolicyKind::Frontier,
+        seed: 1,
+        depth_source: DepthSource::Coarse,
+        coarse: CoarseConfig::default(),
+        map: MapConfig { side_cells: 256, recenter_cells: 20, ..MapConfig::default() },
+        plan: PlanConfig::default(),
+        follower: FollowerConfig::default(),
+        exploration: ExplorationConfig::default(),
+        stop_without_frames: None,
+        footprint_radius_m: 0.16,
+    }
+}
+
+fn robot() -> Robot {
+    Robot::new(config(), None).unwrap()
+}
+
+/// What the scanner measures at a true pose in the room.
+fn scan(truth: &Pose2, time_ns: u64) -> LaserScan {
+    let ranges = (0..GEOMETRY.beams).map(|beam| {
+        let (sin, cos) = (truth.yaw_rad + GEOMETRY.angle_rad(beam)).sin_cos();
+        let to_side_m = to_wall_m(truth.x_m, cos, ROOM_M[0]);
+        Range::Hit(to_side_m.min(to_wall_m(truth.y_m, sin, ROOM_M[1])) as f32)
+    });
+    LaserScan { time_ns, geometry: GEOMETRY, ranges: ranges.collect() }
+}
+
+/// Length of a ray from `at_m` to the wall that it meets on one axis.
+fn to_wall_m(at_m: f64, direction: f64, half_m: f64) -> f64 {
+    if direction.abs() < 1e-9 {
+        return f64::INFINITY;
+    }
+    (half_m - at_m * direction.signum()) / direction.abs()
+}
+
+/// The robot stands at a true pose; its wheels report `wheel`.
+fn stand(robot: &mut Robot, tick: u64, truth: &Pose2, wheel: Pose2) -> Decision {
+    let time_ns = tick * 100_000_000;
+    let mut input = RecordedTick::new(tick, time_ns);
+    input.wheel.odom = wheel;
+    input.scan_odom = wheel;
+    input.scan = Some(scan(truth, time_ns));
+    recompute(robot, &input).unwrap()
+}
+
+/// Drives 0.9 m ahead through the room.
+fn drive(robot: &mut Robot) -> Pose2 {
+    let mut truth = Pose2::IDENTITY;
+    for tick in 0..30 {
+        truth = Pose2::new(0.03 * tick as f64, 0.0, 0.0);
+        stand(robot, tick, &truth, truth);
+    }
+    truth
+}
+
+fn cells(map: &OccupancyGrid) -> Vec<(crate::mapping::Cell, u32)> {
+    map.known_cells().map(|(cell, log_odds)| (cell, log_odds.to_bits())).collect()
+}
+
+#[test]
+fn a_loaded_map_is_the_saved_one_and_the_robot_goes_on_at_its_pose() {
+    let mut first = robot();
+    let truth = drive(&mut first);
+    let mut second = robot();
+    second.load_map_state(&first.map_state()).unwrap();
+    assert_eq!(cells(second.map()), cells(first.map()));
+    assert_eq!(second.poses(), first.poses());
+    assert_eq!(second.scanner(), first.scanner());
+    // The wheels of the next run count from zero.
+    let decision = stand(&mut second, 0, &truth, Pose2::IDENTITY);
+    let moved = decision.t_map_base().inverse().compose(&first.poses().t_map_base());
+    assert!(moved.x_m.hypot(moved.y_m) < 0.01 && moved.yaw_rad.abs() < 0.01, "{moved:?}");
+    let ahead = Pose2::new(truth.x_m + 0.2, 0.0, 0.0);
+    let decision = stand(&mut second, 1, &ahead, Pose2::new(0.2, 0.0, 0.0));
+    assert!(decision.t_map_base().distance_m(&ahead) < 0.02, "{:?}", decision.t_map_base());
+}
+
+#[test]
+fn a_robot_with_a_loaded_map_that_begins_from_a_snapshot_decides_the_same() {
+    let mut first = robot();
+    let truth = drive(&mut first);
+    let mut second = robot();
+    second.load_map_state(&first.map_state()).unwrap();
+    let mut third = robot();
+    third.restore(&second.snapshot()).unwrap();
+    for tick in 0..10 {
+        let wheel = Pose2::new(-0.03 * tick as f64, 0.0, 0.0);
+        let at = truth.compose(&wheel);
+        let decision = stand(&mut second, tick, &at, wheel);
+        assert_eq!(stand(&mut third, tick, &at, wheel), decision);
+    }
+}
+
+#[test]
+fn a_map_that_is_cut_anywhere_or_too_long_is_refused_and_leaves_the_robot_as_it_was() {
+    let mut first = robot();
+    drive(&mut first);
+    let state = first.map_state();
+    let mut second = robot();
+    let before = second.snapshot();
+    for len in (0..60).chain((60..state.len()).step_by(state.len() / 40)) {
+        let refusal = second.load_map_state(&state[..len]).unwrap_err();
+        assert!(matches!(refusal, MapStateError::Damaged(_)), "{len}: {refusal}");
+    }
+    let longer = [state.as_slice(), &[0]].concat();
+    assert!(matches!(second.load_map_state(&longer), Err(MapStateError::Damaged(_))));
+    assert!(second.snapshot() == before);
+}
+
+#[test]
+fn a_map_of_another_configuration_is_refused_by_its_key() {
+    let mut first = robot();
+    drive(&mut first);
+    let state = first.map_state();
+    let refused = |config: RobotConfig| {
+        let mut other = Robot::new(config, None).unwrap();
+        match other.load_map_state(&state) {
+            Err(MapStateError::OtherRobot { key, .. }) => key,
+            other => panic!("{other:?}"),
+        }
+    };
+    let map = MapConfig { cell_m: 0.05, ..config().map };
+    assert_eq!(refused(RobotConfig { map, ..config() }), "map.cell_m");
+    let map = MapConfig { side_cells: 300, ..config().map };
+    assert_eq!(refused(RobotConfig { map, ..config() }), "map.side_cells");
+    assert_eq!(refused(RobotConfig { laser_forward_m: 0.1, ..config() }), "lidar.forward_m");
+    let localization = LocalizationConfig { source: PoseSource::Wheels, ..config().localization };
+    assert_eq!(refused(RobotConfig { localization, ..config() }), "localization.source");
+}
+
+#[test]
+fn a_map_of_another_layout_is_refused_by_its_number() {
+    let mut state = robot().map_state();
+    state[0] ^= 0x40;
+    let found = MAP_STATE_VERSION ^ 0x40;
+    assert_eq!(robot().load_map_state(&state), Err(MapStateError::Version { found }));
+}
+
+#[test]
+fn a_map_can_be_shown_without_a_robot() {
+    let mut first = robot();
+    drive(&mut first);
+    let shown = SavedMap::read(&first.map_state()).unwrap();
+    assert_eq!(cells(&shown.grid), cells(first.map()));
+    assert_eq!(shown.t_map_base, first.poses().t_map_base());
+    assert!(shown.submaps >= 1);
+    assert_eq!(shown.scanner.map(|scanner| scanner.beams), Some(GEOMETRY.beams));
+}
