@@ -283,4 +283,6 @@ pub enum ExploreEnd {
     OutputFailed,
     /// A device failed permanently.
     DeviceFailed,
+    /// The simulated robot drove over an edge of the floor.
+    Fell,
 }
