@@ -202,6 +202,8 @@ pub enum FaultReason {
     LidarFrozen,
     /// The motion that the wheels report is not the motion that the scanner observes.
     WheelsDisagree,
+    /// The battery's voltage stays below the configured limit.
+    LowBattery,
 }
 
 impl FaultReason {

@@ -120,7 +120,14 @@ impl Ground {
     }
 
     /// Decides which patches hold drops. Call it when all points are added.
+    ///
+    /// Depth that is wrong as a whole, as while the robot rotates on the spot, shows no floor where
+    /// the floor is. So drops count only in a frame that shows at least as much floor.
     pub fn finish(&mut self) {
+        let drops = self.points.iter().filter(|point| point.is_drop).count();
+        if 2 * drops > self.points.len() {
+            return;
+        }
         for point in &self.points {
             let patch = self.patches[point.patch as usize];
             let enough =

@@ -161,24 +161,36 @@ fn floor_that_is_seen_where_a_drop_was_clears_it() {
 
 #[test]
 fn a_depth_marks_a_drop_only_as_far_as_its_confidence_allows() {
-    // Every depth is too large by one factor: the room's floor, or a drop everywhere.
+    // On the right half of the image, every depth is too large by one factor.
     let drops = |factor: f32, confidence: f32| {
         let camera_pose = mount(&Pose2::IDENTITY, 0.0);
         let mut depth = depth_of(None, &camera_pose);
-        depth.depth.values_mut().iter_mut().for_each(|depth_m| *depth_m *= factor);
+        for row in depth.depth.values_mut().chunks_exact_mut(640) {
+            row[320..].iter_mut().for_each(|depth_m| *depth_m *= factor);
+        }
         depth.confidence.fill(confidence);
         let mut grid = OccupancyGrid::new(&wide()).unwrap();
         observe_depth(&mut grid, &depth, &Pose2::IDENTITY, &camera_pose);
         occupied(&grid).len()
     };
     assert_eq!(drops(1.2, 0.8), 0, "a quarter is the error of 80 % of the depths");
-    assert_eq!(drops(1.4, 0.8), 0);
-    assert!(drops(1.6, 0.8) > 100);
-    assert_eq!(drops(1.2, 0.95), 0);
-    assert!(drops(1.3, 0.95) > 100);
+    assert_eq!(drops(1.6, 0.8), 0);
+    assert!(drops(1.8, 0.8) > 100);
+    assert_eq!(drops(1.3, 0.95), 0);
+    assert!(drops(1.5, 0.95) > 100);
     assert!(drops(1.2, 1.0) > 100, "exact depth has no error");
     assert_eq!(drops(1.02, 1.0), 0, "2 cm lower is still the floor");
     assert_eq!(drops(1.6, f32::NAN), 0);
+}
+
+#[test]
+fn depth_that_is_wrong_as_a_whole_is_no_drop() {
+    let camera_pose = mount(&Pose2::IDENTITY, 0.0);
+    let mut depth = depth_of(None, &camera_pose);
+    depth.depth.values_mut().iter_mut().for_each(|depth_m| *depth_m *= 4.0);
+    let mut grid = OccupancyGrid::new(&wide()).unwrap();
+    observe_depth(&mut grid, &depth, &Pose2::IDENTITY, &camera_pose);
+    assert!(occupied(&grid).is_empty());
 }
 
 #[test]
