@@ -17,6 +17,9 @@ use crate::report::summary::{DepthAccuracy, Summary};
 /// Depth is compared with ground truth every few frames: neighbours 3 cm apart give the same answer.
 const ACCURACY_EVERY: u64 = 5;
 
+/// Distance from the footprint to an edge of the floor that counts as an approach, metres.
+pub const NEAR_EDGE_M: f64 = 0.1;
+
 /// Counts and sums over a run.
 pub struct Evaluation {
     coarse: Accuracy,
@@ -29,6 +32,9 @@ pub struct Evaluation {
     events: EventCounts,
     collisions: u64,
     in_contact: bool,
+    edge_approaches: u64,
+    near_edge: bool,
+    fell: bool,
     path_m: f64,
     poses: Vec<PosePair>,
     goals: Vec<Goal>,
@@ -44,6 +50,10 @@ pub struct Truth<'a> {
     pub depth: Option<&'a DepthMap>,
     /// The footprint touches something.
     pub contact: bool,
+    /// The footprint is within [`NEAR_EDGE_M`] of an edge over which it can fall.
+    pub near_edge: bool,
+    /// The robot fell over such an edge.
+    pub fell: bool,
 }
 
 impl Evaluation {
@@ -60,6 +70,9 @@ impl Evaluation {
             events: EventCounts::driving(),
             collisions: 0,
             in_contact: false,
+            edge_approaches: 0,
+            near_edge: false,
+            fell: false,
             path_m: 0.0,
             poses: Vec::new(),
             goals: Vec::new(),
@@ -93,6 +106,9 @@ impl Evaluation {
         });
         self.collisions += u64::from(truth.contact && !self.in_contact);
         self.in_contact = truth.contact;
+        self.edge_approaches += u64::from(truth.near_edge && !self.near_edge);
+        self.near_edge = truth.near_edge;
+        self.fell |= truth.fell;
         self.count_events(decision, believed);
         let t_world_map = truth.pose.compose(&believed.t_map_base().inverse());
         let map = robot.map();
@@ -207,6 +223,8 @@ impl Evaluation {
         summary.reachable_m2 = self.coverage.as_ref().map(Coverage::reachable_m2);
         summary.pose_error = PoseError::of(&self.poses);
         summary.collisions = Some(self.collisions);
+        summary.edge_approaches = (self.edge_approaches > 0).then_some(self.edge_approaches);
+        summary.fell = self.fell.then_some(true);
         summary.stuck_frames = Some(self.stuck.frames());
         summary.stuck_longest_frames = Some(self.stuck.longest());
         summary.events = self.events.clone();

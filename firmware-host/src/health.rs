@@ -11,7 +11,7 @@ use runtime::lidar_agreement::AgreementStats;
 
 use crate::cli::HealthArgs;
 use crate::failure::sentence;
-use crate::run::status::{DeviceHealth, Status, unix_s};
+use crate::run::status::{DeviceHealth, PowerStatus, Status, unix_s};
 
 /// The running robot writes its status twice a second.
 const WATCH_NS: u64 = 500_000_000;
@@ -61,6 +61,9 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
         out.push('\n');
     }
     let _ = writeln!(out, "{}\n", devices(status));
+    if let Some(power) = power(&status.power) {
+        let _ = writeln!(out, "power        {power}");
+    }
     let safety = &status.safety;
     let last = safety.last_stop.as_ref().map_or_else(
         || "no stop yet".to_owned(),
@@ -120,6 +123,18 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     }
     out.push('\n');
     out
+}
+
+/// What the base reports about its supply and its temperature; `None` if it reports nothing.
+fn power(power: &PowerStatus) -> Option<String> {
+    let slower = if power.is_hot { ", too hot for full speed" } else { "" };
+    let parts = [
+        power.voltage_v.map(|volts| format!("{volts:.1} V")),
+        power.current_a.map(|amperes| format!("{amperes:.1} A")),
+        power.temperature_c.map(|degrees| format!("{degrees:.0} degrees Celsius{slower}")),
+    ];
+    let reported: Vec<String> = parts.into_iter().flatten().collect();
+    (!reported.is_empty()).then(|| reported.join(", "))
 }
 
 /// Accuracy of the depth where the LiDAR measures the same points.
@@ -190,6 +205,7 @@ fn span(seconds: f64) -> String {
 mod tests {
     use super::*;
     use crate::run::status::LastStop;
+    use hal::PowerReport;
 
     fn device(name: &str) -> DeviceHealth {
         DeviceHealth {
@@ -224,6 +240,13 @@ mod tests {
             "{text}"
         );
         assert!(text.contains("last stop 1 min ago: tripped"), "{text}");
+        assert!(!text.contains("power"), "nothing is reported: {text}");
+        let mut reporting = working();
+        let report =
+            PowerReport { voltage_v: Some(23.6), current_a: None, temperature_c: Some(41.0) };
+        reporting.power = PowerStatus::new(&report, 80.0);
+        let text = screen(&reporting, 100.5);
+        assert!(text.contains("power        23.6 V, 41 degrees Celsius\n"), "{text}");
         let mut broken = working();
         broken.lidar.state = "silent".to_owned();
         let text = screen(&broken, 100.5);

@@ -66,6 +66,19 @@ pub struct WheelFeedback {
     pub contact: bool,
 }
 
+/// The supply and the temperature of a base, as its motor controllers report them. A value that
+/// they do not report, or have not reported lately, is absent.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct PowerReport {
+    /// Supply voltage; the lowest that a controller measures.
+    pub voltage_v: Option<f64>,
+    /// Current from the supply, all controllers together; negative while they feed it back.
+    pub current_a: Option<f64>,
+    /// The hottest motor or inverter, degrees Celsius.
+    pub temperature_c: Option<f64>,
+}
+
 /// A stop that the base itself demands, beyond an error of the device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
@@ -122,6 +135,12 @@ pub trait Base: ErrorType {
     /// be armed.
     fn stop_cause(&self) -> Option<StopCause> {
         None
+    }
+
+    /// The supply and the temperature of the base, as of its last call; all absent for a base that
+    /// does not measure them.
+    fn power(&self) -> PowerReport {
+        PowerReport::default()
     }
 
     /// Stops as fast as the base can. Accepted whenever the base is connected, armed or not.

@@ -44,7 +44,7 @@ pub mod pose;
 pub mod robot;
 pub mod settings;
 
-pub use base::{Base, DriveCommand, StopCause, Twist2, WheelFeedback};
+pub use base::{Base, DriveCommand, PowerReport, StopCause, Twist2, WheelFeedback};
 pub use camera::{Camera, Frame};
 pub use camera_model::{CameraModel, Distortion};
 pub use clock::{Clock, VirtualClock};

@@ -228,6 +228,8 @@ pub enum FaultReason {
     LidarFrozen,
     /// The motion that the wheels report is not the motion that the scanner observes.
     WheelsDisagree,
+    /// The battery's voltage stays below the configured limit.
+    LowBattery,
 }
 
 impl FaultReason {
@@ -309,4 +311,6 @@ pub enum ExploreEnd {
     OutputFailed,
     /// A device failed permanently.
     DeviceFailed,
+    /// The simulated robot drove over an edge of the floor.
+    Fell,
 }

@@ -4,7 +4,7 @@
 #![allow(missing_docs, clippy::expect_used, clippy::panic)]
 
 use drivers::can::{BaseConfig, Protocol};
-use hal::{ScanGeometry, Twist2};
+use hal::{Base, ScanGeometry, Twist2};
 use hil::motor::Composition;
 use hil::motor::rig::config;
 use runtime::event::FaultReason;
@@ -197,6 +197,40 @@ fn a_gap_of_the_scanner_is_followed_by_a_slow_restart_without_a_person() {
         assert!((0.03..0.101).contains(&slowly_m), "{protocol:?}: {slowly_m} m in a second");
         let gone_m = robot.drives_m(100);
         assert!(gone_m > 0.15, "{protocol:?}: {gone_m} m in the next second");
+    }
+}
+
+#[test]
+fn a_battery_that_runs_low_stops_the_robot_with_every_protocol_that_reports_it() {
+    for protocol in ALL {
+        let mut robot = robot(protocol);
+        robot.limit_voltage(21.0).expect("a sound configuration");
+        let mut robot = driving(robot);
+        assert_eq!(robot.base().power().voltage_v, Some(24.0), "{protocol:?}");
+        robot.nodes[1].faults().supply.voltage_v = 20.5;
+        robot.steps(700);
+        assert_eq!(robot.state(), SafetyState::Fault(FaultReason::LowBattery), "{protocol:?}");
+        robot.person_arms();
+        let gone_m = robot.drives_m(FIVE_SECONDS);
+        assert!(gone_m < 0.01, "{protocol:?}: {gone_m} m with an empty battery");
+        robot.nodes[1].faults().supply.voltage_v = 25.0;
+        robot.steps(200);
+        stands_until_a_person_arms_it(&mut robot, &format!("{protocol:?}"));
+    }
+}
+
+#[test]
+fn hot_controllers_slow_the_robot_down_where_the_protocol_reports_a_temperature() {
+    for protocol in [Protocol::Odrive, Protocol::Vesc] {
+        let mut robot = driving(robot(protocol));
+        robot.nodes[0].faults().supply.motor_c = 120.0;
+        robot.steps(300);
+        let gone_m = robot.drives_m(100);
+        assert!((0.05..0.08).contains(&gone_m), "{protocol:?}: {gone_m} m in a second");
+        robot.nodes[0].faults().supply.motor_c = 50.0;
+        robot.steps(300);
+        let gone_m = robot.drives_m(100);
+        assert!(gone_m > 0.15, "{protocol:?}: {gone_m} m in a second, cool again");
     }
 }
 

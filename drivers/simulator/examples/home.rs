@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let moved = args.next().is_some_and(|m| m == "moved");
     std::fs::create_dir_all(&out)?;
     for kind in kind.map_or(HomeKind::ALL.to_vec(), |k| vec![k]) {
-        draw(kind, &HomeOptions { seed, texture, moved }, Path::new(&out))?;
+        draw(kind, &HomeOptions { texture, moved, ..HomeOptions::new(seed) }, Path::new(&out))?;
     }
     Ok(())
 }

@@ -4,7 +4,7 @@ use crate::error::SceneError;
 use crate::homes::{self, HomeKind, HomeOptions};
 use crate::scene::Scene;
 
-/// Builds the home `NAME?seed=K&texture=T&moved=M`. `spec` is the whole specification, for error
+/// Builds the home `NAME?seed=K&texture=T&moved=M&stairs=S`. `spec` is the whole specification, for error
 /// messages.
 pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
     let (name, query) = home.split_once('?').unwrap_or((home, ""));
@@ -28,22 +28,27 @@ pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
                     wrong("a number from 0 (blank walls) to 1 (strongly textured walls)")
                 })?;
             }
-            "moved" => {
-                options.moved = match value {
-                    "0" | "false" => false,
-                    "1" | "true" => true,
-                    _ => return Err(wrong("0 or 1")),
-                }
-            }
+            "moved" => options.moved = switch(value).ok_or_else(|| wrong("0 or 1"))?,
+            "stairs" => options.stairs = switch(value).ok_or_else(|| wrong("0 or 1"))?,
             _ => {
                 return Err(refuse(
-                    format!("unknown option `{key}`; the options are seed, texture and moved"),
+                    format!(
+                        "unknown option `{key}`; the options are seed, texture, moved and stairs"
+                    ),
                     spec,
                 ));
             }
         }
     }
     Ok(homes::build(kind, &options).scene)
+}
+
+fn switch(value: &str) -> Option<bool> {
+    match value {
+        "0" | "false" => Some(false),
+        "1" | "true" => Some(true),
+        _ => None,
+    }
 }
 
 fn refuse(problem: String, spec: &str) -> SceneError {
@@ -69,10 +74,11 @@ mod tests {
     #[test]
     fn a_wrong_name_key_or_value_is_refused_with_what_is_allowed() {
         assert!(refusal("castle").contains("apartment, house and office"));
-        assert!(refusal("house?rooms=3").contains("seed, texture and moved"));
+        assert!(refusal("house?rooms=3").contains("seed, texture, moved and stairs"));
         assert!(refusal("house?seed=-1").contains("whole number"));
         assert!(refusal("house?texture=nan").contains("from 0"));
         assert!(refusal("house?moved=maybe").contains("0 or 1"));
+        assert!(refusal("house?stairs=2").contains("0 or 1"));
         assert!(refusal("house?seed").contains("key=value"));
     }
 }

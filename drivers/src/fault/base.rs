@@ -1,6 +1,6 @@
 //! Injects faults into a drive base.
 
-use hal::{Base, DriveCommand, ErrorType, StopCause, WheelFeedback};
+use hal::{Base, DriveCommand, ErrorType, PowerReport, StopCause, WheelFeedback};
 
 use super::error::{Faulty, FaultyError, Symptom};
 use super::injector::{Faults, Injector};
@@ -71,6 +71,10 @@ impl<B: Base> Base for FaultyBase<B> {
 
     fn stop_cause(&self) -> Option<StopCause> {
         self.inner.stop_cause()
+    }
+
+    fn power(&self) -> PowerReport {
+        self.inner.power()
     }
 
     fn stop(&mut self) -> Faulty<(), B> {

@@ -2,6 +2,7 @@
 
 mod devices;
 mod nearby;
+mod view;
 
 use std::process::ExitCode;
 
@@ -12,6 +13,7 @@ use crate::cli::CheckArgs;
 use crate::config::{Config, DEFAULT_FILE};
 use crate::run::status::{STALE_S, Status, unix_s};
 use devices::Finding;
+use view::View;
 
 /// Prints the effective configuration, or the commented defaults if there is no file. With `--devices` it prints the state of
 /// each device instead.
@@ -25,18 +27,33 @@ pub fn run(args: &CheckArgs) -> Result<ExitCode> {
     };
     let config = Config::load(path)?;
     if !args.devices {
-        print!("# {} is valid. Effective configuration:\n\n{}", path.display(), config.to_toml()?);
+        print!(
+            "# {} is valid.\n{}\n# Effective configuration:\n\n{}",
+            path.display(),
+            comments(&View::new(&config)),
+            config.to_toml()?
+        );
         return Ok(ExitCode::SUCCESS);
     }
     config.check_devices(path)?;
     refuse_beside_a_running_robot(&config)?;
     let findings = devices::test_all(&config);
     println!("{} is valid. Devices:\n\n{}", path.display(), screen(&findings));
+    for sentence in View::new(&config).sentences() {
+        println!("    view: {sentence}");
+    }
     Ok(if findings.iter().all(|finding| finding.is_usable) {
         ExitCode::SUCCESS
     } else {
         ExitCode::FAILURE
     })
+}
+
+/// What is not seen, as comments of a configuration file.
+fn comments(view: &View) -> String {
+    let lines: Vec<String> =
+        view.sentences().into_iter().map(|sentence| format!("# View: {sentence}.")).collect();
+    lines.join("\n")
 }
 
 /// Initializing a motor that another program drives would disturb that program.

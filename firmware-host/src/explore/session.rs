@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use drivers::fault::Faults;
-use hal::DepthMap;
+use hal::{DepthMap, Pose2};
 use runtime::event::ExploreEnd;
 use runtime::lidar_agreement::LidarAgreement;
 use runtime::recording::{RecordedTick, RunDigest};
@@ -26,7 +26,7 @@ use super::{map_accuracy, map_plot};
 use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
 use crate::dump::{Dump, Shot};
-use crate::evaluation::{Evaluation, Truth};
+use crate::evaluation::{Evaluation, NEAR_EDGE_M, Truth};
 use crate::map::KeptMap;
 use crate::model::LiveModels;
 use crate::record::{RecordError, Recorder, recorded_views, snapshot};
@@ -176,6 +176,12 @@ impl Exploration {
             progress.frame(self.done, &Status { coverage, doing: &doing.to_lowercase() });
             if self.until_done && self.session.robot().explorer().is_done() {
                 end = ExploreEnd::Explored;
+                break;
+            }
+            if self.log.world.fell() {
+                let Pose2 { x_m, y_m, .. } = self.log.world.pose();
+                tracing::error!(x_m, y_m, "the robot fell over an edge of the floor; the run ends");
+                end = ExploreEnd::Fell;
                 break;
             }
         }
@@ -340,6 +346,8 @@ impl RunLog {
             pose: self.world.pose(),
             depth: Some(&self.true_depth),
             contact: self.world.take_contact(),
+            near_edge: self.world.drop_distance_m(NEAR_EDGE_M).is_some(),
+            fell: self.world.fell(),
         };
         self.evaluation.frame(&truth, robot, decision)?;
         if let Some(shots) = &mut self.animation {

@@ -88,6 +88,13 @@ pub struct Summary {
     /// Number of collisions: the footprint met an obstacle (ground truth).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub collisions: Option<u64>,
+    /// Number of times that the footprint came within 0.1 m of an edge over which it can fall, such
+    /// as that of stairs down (ground truth); absent if it never did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub edge_approaches: Option<u64>,
+    /// Whether the robot fell over such an edge, which ends the run; absent if it did not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fell: Option<bool>,
     /// Number of frames in which the robot made no progress
     /// ([`StuckMeter`](super::stuck::StuckMeter)).
     #[serde(skip_serializing_if = "Option::is_none")]

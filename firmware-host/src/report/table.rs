@@ -96,6 +96,7 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ("pose", pose(summary)),
         ("path", summary.path_m.map_or(String::new(), |path| format!("{path:.1} m"))),
         ("collisions", summary.collisions.map_or(String::new(), |count| count.to_string())),
+        ("edges", edges(summary)),
         ("safety stops", trips),
         ("LiDAR check", summary.lidar_line.as_ref().map_or(String::new(), LidarLine::to_string)),
         ("camera", summary.camera_latency.map_or(String::new(), |found| found.to_string())),
@@ -169,6 +170,12 @@ fn pose(summary: &Summary) -> String {
         "{drift}{:.2} m off over the run, heading {:.1} degrees off at the end",
         error.ate_m, error.yaw_end_deg
     )
+}
+
+fn edges(summary: &Summary) -> String {
+    let Some(approaches) = summary.edge_approaches else { return String::new() };
+    let fall = if summary.fell == Some(true) { ", and fell over one" } else { "" };
+    format!("{approaches} times within 0.1 m of an edge of the floor{fall}")
 }
 
 fn stuck(summary: &Summary) -> String {

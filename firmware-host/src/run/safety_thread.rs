@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context, Result};
 use drivers::DeviceStatus;
-use hal::{Base, Clock, ErrorKind, Lidar};
+use hal::{Base, Clock, ErrorKind, Lidar, PowerReport};
 use monotonic_clock::MonotonicClock;
 use runtime::event::{FaultReason, SafetyEvent};
 use runtime::latency::LatencyHistogram;
@@ -120,6 +120,7 @@ pub struct LoopStatus {
     pub lidar_error: Option<ErrorKind>,
     pub base: DeviceStatus,
     pub phase: drivers::can::Phase,
+    pub power: PowerReport,
     /// Number of steps so far.
     pub steps: u64,
     /// Number of steps that were skipped because an earlier one took too long.
@@ -334,6 +335,7 @@ where
         status.lidar = control.lidar().status();
         status.base = control.base().status();
         status.phase = control.base().phase();
+        status.power = control.base().power();
         status.steps += 1;
         *self.status.input_buffer_mut() = *status;
         self.status.publish();
@@ -367,6 +369,7 @@ where
         lidar_error: None,
         base: control.base().status(),
         phase: control.base().phase(),
+        power: control.base().power(),
         steps: 0,
         skipped: 0,
         worst_late_ns: 0,

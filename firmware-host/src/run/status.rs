@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use drivers::{DeviceState, DeviceStatus};
+use hal::PowerReport;
 use runtime::lidar_agreement::AgreementStats;
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +32,8 @@ pub struct Status {
     pub lidar: DeviceHealth,
     /// State of the base.
     pub base: DeviceHealth,
+    /// The base's supply and temperature, as far as its controllers report them.
+    pub power: PowerStatus,
     /// State of the exploration plane.
     pub exploration: ExplorationStatus,
     /// State of the recording.
@@ -83,6 +86,33 @@ pub struct DeviceHealth {
     pub reopened: u64,
     /// The problem and its remedy.
     pub problem: Option<String>,
+}
+
+/// Supply and temperature of the base. A value that is not reported is absent.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct PowerStatus {
+    /// Supply voltage, V.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub voltage_v: Option<f64>,
+    /// Current from the supply, A.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub current_a: Option<f64>,
+    /// The hottest motor or inverter, degrees Celsius.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub temperature_c: Option<f64>,
+    /// Whether the robot drives slower because of that temperature.
+    pub is_hot: bool,
+}
+
+impl PowerStatus {
+    /// A report, judged by `hot_c` of the configuration; 0: never hot.
+    #[must_use]
+    pub fn new(report: &PowerReport, hot_c: f64) -> Self {
+        let PowerReport { voltage_v, current_a, temperature_c } = *report;
+        let is_hot = hot_c > 0.0 && temperature_c.is_some_and(|degrees| degrees > hot_c);
+        Self { voltage_v, current_a, temperature_c, is_hot }
+    }
 }
 
 /// The state of the exploration plane.
@@ -202,6 +232,11 @@ impl Status {
                 self.safety.state
             ));
         }
+        if let Some(degrees) = self.power.temperature_c.filter(|_| self.power.is_hot) {
+            worries.push(format!(
+                "the base is hot ({degrees:.0} degrees): the robot drives slower until it has cooled down"
+            ));
+        }
         worries.extend(
             self.exploration
                 .lost
@@ -308,6 +343,8 @@ mod tests {
             ..SafetyStatus::default()
         };
         status.recording.failure = Some("disk full".to_owned());
+        let hot = PowerReport { temperature_c: Some(88.0), ..PowerReport::default() };
+        status.power = PowerStatus::new(&hot, 80.0);
         let worries = status.worries(110.0).join("\n");
         for part in [
             "10 s old",
@@ -315,6 +352,7 @@ mod tests {
             "LiDAR is disconnected: /dev/ttyACM0",
             "kill -USR1 7",
             "disk full",
+            "88 degrees",
         ] {
             assert!(worries.contains(part), "{part} in {worries}");
         }

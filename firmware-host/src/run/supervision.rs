@@ -17,7 +17,7 @@ use super::exploration::Exploration;
 use super::last_stop::LastStop;
 use super::operator::Operator;
 use super::safety_thread::{LoopStatus, SafetyThread};
-use super::status::{RateMeter, RecordingStatus, SafetyStatus, Status, unix_s};
+use super::status::{PowerStatus, RateMeter, RecordingStatus, SafetyStatus, Status, unix_s};
 use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::failure::sentence;
@@ -31,6 +31,7 @@ pub struct Supervision {
     folder: Option<String>,
     names: [String; 3],
     bus: String,
+    hot_c: f64,
     lidar: HokuyoMonitor,
     meters: [RateMeter; 3],
     began_ns: u64,
@@ -68,6 +69,7 @@ impl Supervision {
                 format!("base {}", devices.base.bus),
             ],
             bus: devices.base.bus.clone(),
+            hot_c: config.safety.hot_c,
             lidar,
             meters: [RateMeter::default(); 3],
             began_ns: monotonic_ns(),
@@ -172,6 +174,7 @@ impl Supervision {
             camera: camera_meter.health(&self.names[0], &camera, now_ns, camera_problem.cloned()),
             lidar: lidar_meter.health(&self.names[1], &safety.lidar, now_ns, self.lidar.problem()),
             base: base_meter.health(&self.names[2], &safety.base, now_ns, base_problem),
+            power: PowerStatus::new(&safety.power, self.hot_c),
             exploration: exploration.status(),
             recording: RecordingStatus {
                 folder: self.folder.clone(),

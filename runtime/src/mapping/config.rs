@@ -47,6 +47,14 @@ hal::settings! {
         mark_range_m: f32 = 2.0, in 0.1..=20.0, unit "m", source "paper's code";
         /// The camera clears cells up to this distance in the plane.
         clear_range_m: f32 = 2.0, in 0.1..=20.0, unit "m", source "paper's code";
+        /// The camera marks a drop, such as stairs down, where a ray meets the floor's plane up to this distance and goes on
+        /// below it; 0, the default, marks none: errors of coarse depth make false drops. The default camera sees the floor from
+        /// 2.7 m on.
+        drop_range_m: f32 = 0.0, in 0.0..=20.0, unit "m";
+        /// Points that are less than this below the floor, and 8 mm more for every metre of distance, are no drop.
+        drop_min_m: f32 = 0.04, in 0.01..=1.0, unit "m", source "thresholds and carpets; a stair is 0.14 m or more";
+        /// Probability with which a point must be below the floor by the confidence of its depth.
+        drop_certainty: f32 = 0.99, in 0.0..=0.999;
         /// Clearing stops this fraction of the distance before an obstacle, because depth is noisy, and more so far away.
         clear_margin: f32 = 0.05, in 0.0..=0.9;
         /// Depth with a lower probability of being correct stays out of the map.

@@ -4,7 +4,8 @@
 use hal::{CameraModel, Pose3};
 use serde::{Deserialize, Serialize};
 
-use super::rays::{RayTable, View, used};
+use super::ground::{Ground, GroundCell};
+use super::rays::{Ray, RayTable, View, used};
 use super::{Cell, CellState, MapConfig, MapError};
 use crate::perception::DepthEstimate;
 
@@ -49,8 +50,8 @@ impl SingleFrameMap {
 ///
 /// Pixels with enough confidence become points. Points within the height band are obstacles, and a
 /// cell with enough obstacle points is occupied. A cell is free if, at its bearing, enough pixels
-/// see something farther away and no obstacle of this frame is in between. Bearings are bins as
-/// wide as a used column of the image.
+/// see something farther away and neither an obstacle nor a drop of this frame is in between, nor
+/// floor that should be seen and is missing. Bearings are bins as wide as a used column of the image.
 #[derive(Debug, Clone)]
 pub struct FrameMapper {
     config: MapConfig,
@@ -65,7 +66,12 @@ pub struct FrameMapper {
     bearings: Vec<Bearing>,
     free_ranges: Vec<FreeRange>,
     polar_row: Vec<PolarCell>,
+    ground: Ground,
 }
+
+/// A stretch of floor without any depth ends what is free when it is longer than this, metres: the
+/// wheels of a small robot are as large.
+const FLOOR_GAP_M: f64 = 0.1;
 
 /// The obstacle points in one cell.
 #[derive(Debug, Clone, Copy, Default)]
@@ -88,12 +94,16 @@ struct ObstaclePoint {
 #[derive(Debug, Clone, Copy)]
 struct Bucket {
     points: u16,
+    /// Obstacles, and drops at the range where the floor ends.
     obstacles: u16,
+    /// Rays without a depth that meet the floor's plane here.
+    without_depth: u16,
     /// Slope of the lowest ray: height per range.
     lowest_slope: f32,
 }
 
-const EMPTY_BUCKET: Bucket = Bucket { points: 0, obstacles: 0, lowest_slope: f32::INFINITY };
+const EMPTY_BUCKET: Bucket =
+    Bucket { points: 0, obstacles: 0, without_depth: 0, lowest_slope: f32::INFINITY };
 
 /// All points of one bearing.
 #[derive(Debug, Clone, Copy)]
@@ -146,6 +156,7 @@ impl FrameMapper {
             bearings: Vec::new(),
             free_ranges: Vec::new(),
             polar_row: vec![PolarCell::default(); side],
+            ground: Ground::new(config),
         })
     }
 
@@ -163,11 +174,13 @@ impl FrameMapper {
         out: &mut SingleFrameMap,
     ) -> Result<(), MapError> {
         out.cells.clear();
+        self.ground.reset();
         check(estimate, camera, t_odom_camera)?;
         let view = View::new(&self.config, self.half, t_odom_camera)?;
         self.table.prepare(&self.config, camera, &view);
         self.reset();
         self.sort_pixels(estimate, &view);
+        self.ground.finish();
         self.find_nearest_occupied();
         self.free_ranges.clear();
         for bearing in 0..self.bearings.len() {
@@ -212,12 +225,17 @@ impl FrameMapper {
                 // These comparisons also reject NaN.
                 let usable =
                     depth_m > 0.0 && depth_m < f32::INFINITY && confidence >= config.min_confidence;
-                if !usable || ray.forward <= 0.0 {
+                if !usable {
+                    count_without_depth(ray, config, self.range_bins, &mut self.buckets);
+                    continue;
+                }
+                if ray.forward <= 0.0 {
                     continue;
                 }
                 let range_m = depth_m * ray.range;
                 let height_m = view.height_m + depth_m * ray.rise;
                 let is_obstacle = height_m >= config.band_min_m && height_m <= config.band_max_m;
+                let is_drop = self.ground.add(ray, view, depth_m, confidence);
                 if let Some(bearing_points) = self.bearings.get_mut(ray.bearing as usize) {
                     bearing_points.points += 1;
                     bearing_points.confidence += confidence;
@@ -229,7 +247,8 @@ impl FrameMapper {
                     let bucket =
                         &mut self.buckets[ray.bearing as usize * self.range_bins + interval];
                     bucket.points = bucket.points.saturating_add(1);
-                    bucket.obstacles = bucket.obstacles.saturating_add(u16::from(is_obstacle));
+                    bucket.obstacles =
+                        bucket.obstacles.saturating_add(u16::from(is_obstacle || is_drop));
                     bucket.lowest_slope = bucket.lowest_slope.min(ray.slope);
                 }
                 if is_obstacle && range_m <= config.mark_range_m {
@@ -290,6 +309,7 @@ impl FrameMapper {
             Some(interval) if interval + 1 == self.range_bins => config.clear_range_m,
             Some(interval) => (interval as f64 * config.cell_m) as f32,
         };
+        let seen_m = seen_m.min(self.missing_floor_m(buckets));
         let obstacle_m = match first_obstacle {
             Some(interval) if interval + 1 < self.range_bins => {
                 (interval as f64 * config.cell_m) as f32
@@ -308,6 +328,32 @@ impl FrameMapper {
                 .skip(reached)
                 .fold(f32::INFINITY, |lowest, bucket| lowest.min(bucket.lowest_slope)),
         }
+    }
+
+    /// Range of the nearest stretch of a bearing in which the floor should be seen and no ray has a
+    /// depth; infinite if there is none.
+    fn missing_floor_m(&self, buckets: &[Bucket]) -> f32 {
+        let mut first = None;
+        let mut missing = 0;
+        for (interval, bucket) in buckets.iter().enumerate() {
+            if bucket.points > 0 {
+                first = None;
+                missing = 0;
+            } else if bucket.without_depth > 0 {
+                let first = *first.get_or_insert(interval);
+                missing += u32::from(bucket.without_depth);
+                let stretch_m = (interval - first) as f64 * self.config.cell_m;
+                if missing >= u32::from(self.config.min_points) && stretch_m >= FLOOR_GAP_M {
+                    return (first as f64 * self.config.cell_m) as f32;
+                }
+            }
+        }
+        f32::INFINITY
+    }
+
+    /// The cells in which the last frame saw a drop or the floor.
+    pub(super) fn ground(&self) -> &[GroundCell] {
+        self.ground.seen()
     }
 
     /// Writes every known cell of the square to `out`, row by row.
@@ -354,6 +400,19 @@ impl FrameMapper {
             // Beside the camera the quotient grows without bound. Any value outside of the image is
             // correct there.
             polar.bearing = (center + focal * right_m / forward_m).max(-1e6) as i32 - 1;
+        }
+    }
+}
+
+/// Counts a ray without a depth where it meets the floor within the clear range.
+fn count_without_depth(ray: &Ray, config: &MapConfig, range_bins: usize, buckets: &mut [Bucket]) {
+    let meets_floor =
+        ray.forward > 0.0 && ray.slope < 0.0 && ray.leaves_band_m < config.clear_range_m;
+    if meets_floor {
+        let interval = ((ray.leaves_band_m / config.cell_m as f32) as usize).min(range_bins - 1);
+        let at = (ray.bearing as usize).saturating_mul(range_bins).saturating_add(interval);
+        if let Some(bucket) = buckets.get_mut(at) {
+            bucket.without_depth = bucket.without_depth.saturating_add(1);
         }
     }
 }

@@ -3,6 +3,7 @@
 use hal::{CameraModel, Pose2, Pose3};
 use serde::{Deserialize, Serialize};
 
+use super::ground::GroundCell;
 use super::window::Window;
 use super::{Cell, CellBox, CellState, FrameMapper, MapConfig, MapError, SingleFrameMap};
 use crate::perception::DepthEstimate;
@@ -17,6 +18,10 @@ const FAINTEST: f32 = 1e-20;
 /// The common factor is multiplied into the cells when it becomes smaller than this: about every
 /// 2,000 updates at a decay of 0.98.
 const RENORMALISE_BELOW: f64 = 1e-18;
+
+/// Stands for a height in cells that hold a drop instead of an obstacle. Obstacles are at most 2.5 m
+/// high.
+const DROP_CM: u8 = 255;
 
 /// An occupancy grid in `odom` whose window follows the robot.
 ///
@@ -36,13 +41,15 @@ pub struct OccupancyGrid {
     /// The cells with evidence.
     touched: Vec<Cell>,
     /// Height of the obstacle in an occupied cell according to the camera, centimetres; 0 if only
-    /// the LiDAR or a collision marked it.
+    /// the LiDAR or a collision marked it, [`DROP_CM`] if the floor ends there.
     pub(super) top_cm: Vec<u8>,
     /// The section of the path from which a cell was observed last. The cells of a section move
     /// together when localization corrects the path.
     pub(super) section_of: Vec<u16>,
     /// The section that the robot is on.
     pub(super) section: u16,
+    /// Drops that the current update saw, and floor in cells that hold a drop.
+    ground: Vec<GroundCell>,
     /// The robot's cell and the radius of the floor under it, in cells.
     standing: Option<(Cell, f64)>,
     pub(super) collisions: Vec<Collision>,
@@ -80,6 +87,7 @@ impl OccupancyGrid {
             top_cm: vec![0; cells],
             section_of: vec![0; cells],
             section: 0,
+            ground: Vec::new(),
             standing: None,
             collisions: Vec::new(),
             known: None,
@@ -128,6 +136,7 @@ impl OccupancyGrid {
         let result = self.mapper.map(estimate, camera, t_odom_camera, &mut frame);
         if result.is_ok() {
             self.add_frame(&frame);
+            self.add_ground();
         }
         self.frame = frame;
         result.map(|()| &self.frame)
@@ -136,15 +145,31 @@ impl OccupancyGrid {
     fn add_frame(&mut self, frame: &SingleFrameMap) {
         for seen in &frame.cells {
             let Some(index) = self.window.index(seen.cell) else { continue };
-            let height_cm = (seen.height_m * 100.0).clamp(1.0, 255.0) as u8;
+            let height_cm = (seen.height_m * 100.0).clamp(1.0, 254.0) as u8;
             if seen.evidence > 0.0 {
                 self.add_camera_obstacle(seen.cell, seen.evidence, height_cm);
-            } else {
+            } else if !self.holds_drop(index) {
                 let over_the_top = self.stored[index] > 0.0 && height_cm > self.top_cm[index];
                 let weight = if over_the_top { self.config.over_the_top_weight } else { 1.0 };
                 self.add_evidence(seen.cell, index, seen.evidence * weight);
             }
         }
+    }
+
+    /// Keeps what the mapper's last frame saw of the ground until the update is finished.
+    fn add_ground(&mut self) {
+        for seen in self.mapper.ground() {
+            let Some(index) = self.window.index(seen.cell) else { continue };
+            if seen.evidence > 0.0 || self.holds_drop(index) {
+                self.ground.push(*seen);
+            }
+        }
+    }
+
+    /// Whether a cell is occupied because the floor ends there. Rays that pass above such a cell,
+    /// of the camera or of the LiDAR, say nothing about its floor.
+    fn holds_drop(&self, index: usize) -> bool {
+        self.stored[index] > 0.0 && self.top_cm[index] == DROP_CM
     }
 
     pub(super) fn add_camera_obstacle(&mut self, cell: Cell, evidence: f32, height_cm: u8) {
@@ -222,12 +247,35 @@ impl OccupancyGrid {
         }
         self.touched = touched;
         self.touched.clear();
+        self.apply_ground();
         self.apply_standing();
         self.apply_collisions();
         self.digest.reset();
         self.digest.update(&self.changes);
         let [a, b, c, d, e, f, g, h, ..] = *self.digest.finalize().as_bytes();
         self.changes_digest = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
+    }
+
+    /// Marks drops, and clears those where the floor was seen. Rays that passed above a cell may
+    /// have cleared it before: that counts for nothing against a drop.
+    fn apply_ground(&mut self) {
+        let mut ground = core::mem::take(&mut self.ground);
+        // A drop wins over floor that the same update saw in its cell.
+        ground.sort_by(|a, b| a.cell.cmp(&b.cell).then(b.evidence.total_cmp(&a.evidence)));
+        ground.dedup_by_key(|seen| seen.cell);
+        for seen in &ground {
+            let Some(index) = self.window.index(seen.cell) else { continue };
+            let old = self.log_odds_at(index);
+            let from = if seen.evidence > 0.0 { old.max(0.0) } else { old };
+            let new = (from + seen.evidence).clamp(-self.config.limit, self.config.limit);
+            let new = if new.abs() < FAINTEST { FAINTEST.copysign(seen.evidence) } else { new };
+            self.write(seen.cell, index, new);
+            if seen.evidence > 0.0 {
+                self.top_cm[index] = DROP_CM;
+            }
+        }
+        ground.clear();
+        self.ground = ground;
     }
 
     fn apply_standing(&mut self) {

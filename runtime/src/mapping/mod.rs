@@ -13,6 +13,9 @@ mod error;
 mod frame_map;
 mod frontier;
 mod grid;
+mod ground;
+#[cfg(test)]
+mod ground_tests;
 mod inconsistency;
 mod rays;
 mod recompose;

@@ -11,7 +11,7 @@ use crate::perception::DepthEstimate;
 /// An axis-aligned box as its minimum and maximum corner, metres.
 type Solid = [[f64; 3]; 2];
 
-fn camera() -> CameraModel {
+pub(super) fn camera() -> CameraModel {
     CameraModel::pinhole(640, 192, core::f64::consts::FRAC_PI_2)
 }
 
@@ -19,7 +19,7 @@ fn small() -> MapConfig {
     MapConfig { side_cells: 200, recenter_cells: 20, ..MapConfig::default() }
 }
 
-fn mount(pose: &Pose2, pitch_down_rad: f64) -> Pose3 {
+pub(super) fn mount(pose: &Pose2, pitch_down_rad: f64) -> Pose3 {
     pose.to_pose3() * camera_mount(0.0, 0.8, pitch_down_rad)
 }
 

@@ -172,6 +172,7 @@ pub fn fault_reason(why: FaultReason) -> &'static str {
         FaultReason::RepeatedContact => "three contacts at one place",
         FaultReason::LidarFrozen => "the LiDAR repeats one scan",
         FaultReason::WheelsDisagree => "the wheels and the LiDAR measure different motions",
+        FaultReason::LowBattery => "the battery is low",
     }
 }
 

@@ -40,6 +40,13 @@ hal::settings! {
         scan_timeout_s: f64 = 0.2, in 0.02..=2.0, unit "s";
         /// Beams that hit the robot's own body. They count as blind, not as free.
         body: Vec<BodySector> = Vec::new();
+        /// The robot stops, and a person has to arm it again, when the motor controllers report less than this for 5 s; 0 never
+        /// stops it. For a lead battery of 24 V: 22, for lithium-ion cells: 3.3 for each in series.
+        low_battery_v: f64 = 0.0, in 0.0..=100.0, unit "V";
+        /// From this temperature of a motor or an inverter on the robot drives slower, down to a third at 15 degrees more; 0 never
+        /// slows it.
+        hot_c: f64 = 80.0, in 0.0..=150.0, unit "degrees Celsius",
+            source "below the 85 degrees at which a VESC limits its current by default";
     }
 }
 
@@ -77,6 +84,10 @@ pub struct SafetyConfig {
     pub feedback_timeout_s: f64,
     /// The robot does not follow a plan that is older than this.
     pub plan_timeout_s: f64,
+    /// The robot stops while the base reports a lower voltage; 0: never.
+    pub low_battery_v: f64,
+    /// Temperature from which the robot drives slower, degrees Celsius; 0: never.
+    pub hot_c: f64,
     /// Time between two ticks of the safety plane. A tick that is later than two periods stops the robot.
     pub period_s: f64,
 }
@@ -104,6 +115,8 @@ impl SafetySection {
             good_scans: 1,
             feedback_timeout_s: 0.2,
             plan_timeout_s: 0.3,
+            low_battery_v: self.low_battery_v,
+            hot_c: self.hot_c,
             period_s: robot.tick_s(),
         }
     }

@@ -10,6 +10,7 @@
 
 use hal::{Base, DriveCommand, Error, ErrorKind, LaserScan, Lidar, StopCause, WheelFeedback};
 
+use super::power::PowerWatch;
 use super::{Plan, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyPlane, SafetyState};
 use crate::event::{FaultReason, SafetyEvent};
 use crate::tick::SentCommand;
@@ -101,6 +102,7 @@ pub struct SafetyLoop<B, L> {
     counter: u32,
     authority: Option<Authority>,
     seen: Seen,
+    power: PowerWatch,
     /// Why the base refused to be armed or driven in the last step.
     refusal: Option<FaultReason>,
 }
@@ -109,6 +111,7 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
     /// Takes the devices. Nothing moves before an order to arm.
     pub fn new(config: SafetyConfig, base: B, lidar: L) -> Self {
         let scan = LaserScan::empty(lidar.geometry());
+        let power = PowerWatch::new(&config);
         let plane = SafetyPlane::new(config);
         Self {
             base,
@@ -118,6 +121,7 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
             counter: 0,
             authority: None,
             seen: Seen::default(),
+            power,
             refusal: None,
         }
     }
@@ -136,9 +140,11 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         };
         let (request, readiness) = self.arming(now_ns, orders.request);
         let stop_cause = self.base.stop_cause();
+        let power = self.base.power();
+        let low_battery = self.power.is_low(now_ns, &power).then_some(FaultReason::LowBattery);
         let base_error = match stop_cause {
             Some(StopCause::SafetyBoardSilent) => Some(FaultReason::SafetyBoardSilent),
-            _ => feedback_error.map(FaultReason::of_base).or(self.refusal),
+            _ => feedback_error.map(FaultReason::of_base).or(self.refusal).or(low_battery),
         };
         self.refusal = None;
         let mut output = self.plane.step(&SafetyInput {
@@ -151,6 +157,10 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
             plan: orders.plan,
             request,
         });
+        // Motions of the safety plane's own are slow already.
+        if !output.in_charge {
+            output.command = output.command.map(|twist| self.power.slowed(twist, &power));
+        }
         self.disarm_after(output.event);
         let is_board_silent = stop_cause == Some(StopCause::SafetyBoardSilent);
         let are_motors_silent = feedback_error.map(Readiness::of) == Some(Readiness::Absent);
@@ -337,7 +347,7 @@ fn refusal(cause: Option<StopCause>, kind: ErrorKind) -> FaultReason {
 mod tests {
     use super::*;
     use crate::event::FaultReason;
-    use hal::{ErrorType, Pose2, Range, ScanGeometry, Twist2};
+    use hal::{ErrorType, Pose2, PowerReport, Range, ScanGeometry, Twist2};
 
     const FORWARD: Twist2 = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
     const MS: u64 = 1_000_000;
@@ -369,6 +379,7 @@ mod tests {
         plan_age_ns: u64,
         /// The error that the feedback returns instead of a measurement.
         unheard: Option<ErrorKind>,
+        power: PowerReport,
     }
 
     impl ErrorType for Motors {
@@ -394,6 +405,10 @@ mod tests {
             self.plan_age_ns = command.plan_age_ns;
             self.moved.push(command.twist);
             Ok(())
+        }
+
+        fn power(&self) -> PowerReport {
+            self.power
         }
 
         fn stop(&mut self) -> Result<(), Broken> {
@@ -539,6 +554,39 @@ mod tests {
         robot.step(Some(Request::ClearFault));
         robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
+    }
+
+    #[test]
+    fn a_low_battery_stops_the_robot_until_a_person_has_charged_it() {
+        let mut robot = Robot::new();
+        robot.control.power =
+            PowerWatch::new(&SafetyConfig { low_battery_v: 21.0, ..SafetyConfig::default() });
+        robot.control.base.power.voltage_v = Some(20.5);
+        robot.step(Some(Request::Arm));
+        assert!(robot.drives_after(400), "for 4 s that may be the motors' current");
+        assert!(!robot.drives_after(110));
+        assert_eq!(robot.control.plane.state(), SafetyState::Fault(FaultReason::LowBattery));
+        robot.step(Some(Request::ClearFault));
+        robot.step(Some(Request::Arm));
+        assert!(!robot.drives_after(20), "it is still low");
+        robot.control.base.power.voltage_v = Some(25.0);
+        assert!(!robot.drives_after(200), "charged, and nobody has asked");
+        robot.step(Some(Request::ClearFault));
+        robot.step(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+    }
+
+    #[test]
+    fn hot_motors_drive_slower_and_cool_ones_as_fast_as_before() {
+        let mut robot = Robot::new();
+        robot.step(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+        robot.control.base.power.temperature_c = Some(200.0);
+        robot.drives_after(1);
+        let slow_mps = robot.control.base.moved.last().map(|twist| twist.linear_mps);
+        assert!(slow_mps.is_some_and(|mps| (0.05..0.11).contains(&mps)), "{slow_mps:?}");
+        robot.control.base.power.temperature_c = Some(60.0);
+        assert!(robot.drives_after(1));
     }
 
     #[test]

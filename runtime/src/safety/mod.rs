@@ -61,6 +61,7 @@ mod control;
 mod corridor;
 mod footprint;
 mod plane;
+mod power;
 mod rear;
 mod restart;
 mod state;

@@ -37,7 +37,7 @@ pub const CREEP_RADPS: f64 = 0.2;
 pub const CREEP_NS: u64 = 1_000_000_000;
 
 /// Every reason for a stop, once.
-pub const STOPS: [Stop; 12] = [
+pub const STOPS: [Stop; 13] = [
     Stop {
         why: FaultReason::EmergencyStop,
         condition: "the emergency stop of the safety board or of the operator",
@@ -83,6 +83,13 @@ pub const STOPS: [Stop; 12] = [
         condition: "the wheels and the scanner disagree by more than 0.25 m or 0.5 rad: slip, lifted, stuck, wrong radius, track or sign",
         restart: Restart::Person,
         tests: "`witness::tests::*`",
+    },
+    Stop {
+        why: FaultReason::LowBattery,
+        condition: "the controllers report less than `low_battery_v` for 5 s; off by default",
+        restart: Restart::Person,
+        tests: "`power::tests::*`, `control::tests::a_low_battery_stops_the_robot_until_a_person_has_charged_it`, \
+                `restart_authority::a_battery_that_runs_low_stops_the_robot_with_every_protocol_that_reports_it`",
     },
     Stop {
         why: FaultReason::LidarSilent,
@@ -150,6 +157,7 @@ mod tests {
             FaultReason::LoopStalled,
             FaultReason::RepeatedContact,
             FaultReason::WheelsDisagree,
+            FaultReason::LowBattery,
         ] {
             assert!(why.needs_person(), "{why:?}");
         }

@@ -69,6 +69,7 @@ impl Cia402Sim {
             ((0x6061, 0), (0, 1)),
             ((0x6064, 0), (0, 4)),
             ((0x606c, 0), (0, 4)),
+            ((0x6079, 0), (0, 4)),
             ((0x60ff, 0), (0, 4)),
         ]
         .into();
@@ -138,7 +139,7 @@ impl Cia402Sim {
     fn write(&mut self, index: u16, sub: u8, value: u32) -> Result<(), u32> {
         let is_off = |index: u16| self.value(index, 1) & 0x8000_0000 != 0;
         match index {
-            0x1000 | 0x1001 | 0x1008 | 0x1018 | 0x6041 | 0x6061 | 0x6064 | 0x606c => {
+            0x1000 | 0x1001 | 0x1008 | 0x1018 | 0x6041 | 0x6061 | 0x6064 | 0x606c | 0x6079 => {
                 return Err(0x0601_0002);
             }
             // A PDO can be mapped only while it is off, and an entry changed only while the count
@@ -321,6 +322,8 @@ impl MotorNode for Cia402Sim {
         let (velocity, position) = self.wheel.measured();
         self.dictionary.insert((0x606c, 0), (to_counts(velocity), 4));
         self.dictionary.insert((0x6064, 0), (to_counts(position), 4));
+        let millivolts = (1e3 * self.faults.supply.voltage_v) as u32;
+        self.dictionary.insert((0x6079, 0), (millivolts, 4));
         self.dictionary.insert((0x6041, 0), (u32::from(self.statusword()), 2));
         let synced = std::mem::take(&mut self.synced);
         if self.faults.silent {

@@ -92,6 +92,7 @@ pub struct Composition {
     board: MemoryBus,
     config: BaseConfig,
     geometry: ScanGeometry,
+    low_battery_v: f64,
     /// The safety board is unplugged.
     pub board_is_silent: bool,
     /// The emergency stop of the safety board is pressed.
@@ -127,13 +128,14 @@ impl Composition {
             next_ns: 0,
         };
         Ok(Self {
-            control: program(&host, config, scanner)?,
+            control: program(&host, config, scanner, 0.0)?,
             nodes: [node(config.protocol, 1), node(config.protocol, 2)],
             motors: host.connect(),
             board: host.connect(),
             host,
             config: config.clone(),
             geometry,
+            low_battery_v: 0.0,
             board_is_silent: false,
             pressed: false,
             board_counter: 0,
@@ -161,8 +163,17 @@ impl Composition {
             geometry: self.geometry,
             next_ns: 0,
         };
-        self.control = program(&self.host, &self.config, scanner)?;
+        self.control = program(&self.host, &self.config, scanner, self.low_battery_v)?;
         Ok(())
+    }
+
+    /// The program is started again with a limit of the battery's voltage.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn limit_voltage(&mut self, low_battery_v: f64) -> Result<(), CanError> {
+        self.low_battery_v = low_battery_v;
+        self.restart_program()
     }
 
     /// Whether a request to arm is in force.
@@ -293,6 +304,7 @@ fn program(
     host: &MemoryBus,
     config: &BaseConfig,
     scanner: RoomScanner,
+    low_battery_v: f64,
 ) -> Result<SafetyLoop<Base, RoomScanner>, CanError> {
     let safety = SafetyConfig {
         period_s: TICK_NS as f64 * 1e-9,
@@ -301,6 +313,7 @@ fn program(
         good_scans: 3,
         feedback_timeout_s: 0.1,
         plan_timeout_s: 0.5,
+        low_battery_v,
         scan_timeout_s: 2e-9 * scanner.geometry.period_ns as f64,
         ..SafetyConfig::default()
     };

@@ -27,7 +27,7 @@ pub trait MotorNode: Send {
 }
 
 /// Faults of a controller.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct NodeFaults {
     /// Sends nothing, but still receives.
     pub silent: bool,
@@ -41,6 +41,8 @@ pub struct NodeFaults {
     pub unpowered: bool,
     /// Time from power to the first frame.
     pub boot_ns: u64,
+    /// What it measures about its supply and its temperatures.
+    pub supply: Supply,
 }
 
 /// A controller's watchdog, by the controller's own clock.
@@ -73,6 +75,22 @@ impl Watchdog {
             return true;
         }
         false
+    }
+}
+
+/// The supply and the temperatures that a simulated controller measures.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Supply {
+    pub voltage_v: f64,
+    pub current_a: f64,
+    pub inverter_c: f64,
+    pub motor_c: f64,
+}
+
+impl Default for Supply {
+    /// A charged battery of 24 V and a robot that has driven for a while.
+    fn default() -> Self {
+        Self { voltage_v: 24.0, current_a: 1.0, inverter_c: 30.0, motor_c: 27.0 }
     }
 }
 

@@ -38,6 +38,7 @@ pub struct OdriveSim {
     last_ns: u64,
     encoder: Periodic,
     heartbeat: Periodic,
+    report: Periodic,
     answers: Vec<CanFrame>,
 }
 
@@ -59,6 +60,7 @@ impl OdriveSim {
             last_ns: 0,
             encoder: Periodic::milliseconds(10),
             heartbeat: Periodic::milliseconds(100),
+            report: Periodic::milliseconds(1000),
             answers: Vec::new(),
         }
     }
@@ -157,6 +159,16 @@ impl MotorNode for OdriveSim {
             let (velocity, position) = self.wheel.measured();
             let rotations = [position, velocity].map(|value| ((value / TAU) as f32).to_le_bytes());
             out.push(standard(self.node | 0x09, &rotations.concat()));
+        }
+        if self.report.is_due(now_ns) {
+            let supply = self.faults.supply;
+            for (command, values) in [
+                (0x15, [supply.inverter_c, supply.motor_c]),
+                (0x17, [supply.voltage_v, supply.current_a]),
+            ] {
+                let bytes = values.map(|value| (value as f32).to_le_bytes());
+                out.push(standard(self.node | command, &bytes.concat()));
+            }
         }
         if self.heartbeat.is_due(now_ns) {
             out.push(standard(

@@ -144,11 +144,13 @@ impl MotorNode for VescSim {
             let erpm = (rotations_per_s * 60.0 * f64::from(POLE_PAIRS)).round() as i32;
             let steps = (position / TAU * 6.0 * f64::from(POLE_PAIRS)).floor() as i32;
             let id = |kind: u32| kind << 8 | u32::from(self.node);
-            out.push(extended(
-                id(27),
-                &[&steps.to_be_bytes()[..], &240i16.to_be_bytes(), &[0, 0]].concat(),
-            ));
-            out.push(extended(id(16), &[1, 44, 1, 14, 0, 10, 0, 0]));
+            let supply = self.faults.supply;
+            let tenths = |value: f64| ((10.0 * value).round() as i16).to_be_bytes();
+            let voltage = tenths(supply.voltage_v);
+            out.push(extended(id(27), &[&steps.to_be_bytes()[..], &voltage, &[0, 0]].concat()));
+            let status_4 =
+                [supply.inverter_c, supply.motor_c, supply.current_a, 0.0].map(tenths).concat();
+            out.push(extended(id(16), &status_4));
             out.push(extended(id(9), &[&erpm.to_be_bytes()[..], &[0, 0, 0, 0]].concat()));
         }
     }

@@ -24,7 +24,13 @@ pub struct Moved {
     pub pose: Pose2,
     /// Whether the robot touched an obstacle.
     pub contact: bool,
+    /// Whether a wheel left the floor. The motion ends there.
+    pub fell: bool,
 }
+
+/// The robot stands on two wheels and two castors, at this share of its radius from its centre: the
+/// wheels beside it, the castors ahead of it and behind it.
+const STANCE: f64 = 0.8;
 
 /// Motion is divided into steps of at most this length, metres. Distances to obstacles are exact,
 /// so the step length only limits the thinnest obstacle that could be jumped over, and it is far
@@ -40,8 +46,8 @@ const SKIN_M: f64 = 1e-5;
 
 impl FloorPlan {
     /// Drives from a pose in the world for some time at a constant velocity. Collisions use the
-    /// exact distance to the scene's shapes, to a few micrometres; the edge of the floor is known
-    /// to half a cell (2.5 cm).
+    /// exact distance to the scene's shapes, to a few micrometres. At the edge of the floor, which
+    /// is known to half a cell (2.5 cm), the robot falls.
     ///
     /// A robot that overlaps an obstacle, because a person walked into it, may move away from that
     /// obstacle.
@@ -57,29 +63,56 @@ impl FloorPlan {
         let steps = (twist.linear_mps.abs() * seconds / STEP_M).ceil().max(1.0);
         let step_s = seconds / steps;
         let step = twist.integrate(step_s);
-        let mut moved = Moved { pose: *from, contact: false };
+        let mut moved = Moved { pose: *from, contact: false, fell: false };
         for _ in 0..steps as usize {
             let next = moved.pose.compose(&step);
-            if self.admits(&moved.pose, &next, discs) {
-                moved.pose = next;
-                continue;
-            }
-            moved.contact = true;
-            if !body.sliding {
-                moved.pose = self.up_to_contact(&moved.pose, twist, step_s, discs);
+            let admitted = self.admits(&moved.pose, &next, discs);
+            moved.pose = if admitted {
+                next
+            } else {
+                self.beside_obstacle(&moved.pose, twist, step_s, body, discs)
+            };
+            moved.contact |= !admitted;
+            moved.fell = !self.stands(&moved.pose);
+            if moved.fell || (!admitted && !body.sliding) {
                 break;
             }
-            let slid = self.slide(&moved.pose, &next, discs);
-            moved.pose =
-                slid.unwrap_or_else(|| self.up_to_contact(&moved.pose, twist, step_s, discs));
         }
         moved
     }
 
-    /// Whether the robot can stand at a position without touching an obstacle.
+    /// The end of a step that meets an obstacle.
+    fn beside_obstacle(
+        &self,
+        from: &Pose2,
+        twist: &Twist2,
+        step_s: f64,
+        body: &Body,
+        discs: &[Disc],
+    ) -> Pose2 {
+        let to = from.compose(&twist.integrate(step_s));
+        let slid = if body.sliding { self.slide(from, &to, discs) } else { None };
+        slid.unwrap_or_else(|| self.up_to_contact(from, twist, step_s, discs))
+    }
+
+    /// Whether there is floor under every wheel and castor of a robot.
+    #[must_use]
+    pub fn stands(&self, pose: &Pose2) -> bool {
+        let reach_m = STANCE * self.footprint.radius_m;
+        [[0.0, reach_m], [0.0, -reach_m], [reach_m, 0.0], [-reach_m, 0.0]].iter().all(|[x, y]| {
+            let (x_m, y_m) = pose.transform(*x, *y);
+            self.is_supported(x_m, y_m)
+        })
+    }
+
+    /// Whether the robot can stand at a position without touching an obstacle or reaching over an
+    /// edge of the floor.
     #[must_use]
     pub fn fits(&self, x_m: f64, y_m: f64, discs: &[Disc]) -> bool {
+        let inside_m = self.footprint.radius_m - SKIN_M;
         self.gap([x_m, y_m], discs).1 >= -SKIN_M
+            && self.is_supported(x_m, y_m)
+            && self.edges.nearest([x_m, y_m], inside_m).is_none()
     }
 
     /// A step is allowed when it ends free of obstacles, or no deeper in an overlap than it began.

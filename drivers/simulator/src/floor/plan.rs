@@ -30,7 +30,12 @@ const FIRST_REACH_M: f64 = 0.1;
 #[derive(Debug, Clone)]
 pub struct FloorPlan {
     pub(super) footprint: Footprint,
+    /// What blocks the robot.
     pub(super) obstacles: Arc<Obstacles>,
+    /// Where the floor ends, also behind walls.
+    pub(super) edges: Arc<Obstacles>,
+    /// Edges over which a robot can fall: no wall stands before them.
+    drops: Arc<Obstacles>,
     /// Everything that a robot can map as an obstacle.
     surfaces: Arc<Obstacles>,
     raster: Raster,
@@ -54,7 +59,9 @@ impl FloorPlan {
         let triangles: Vec<Corners> = scene.triangles.iter().map(corners).collect();
         let raster = Raster::new(&triangles, region(&triangles), 0.0, footprint.height_m);
         let obstacles = obstacles(&triangles, &raster, footprint.height_m);
-        let clearance_m = clearance(&raster, &obstacles, footprint.radius_m);
+        let edges = edges(&raster, |_| true);
+        let drops = edges_without_wall(&raster);
+        let clearance_m = clearance(&raster, [&obstacles, &edges], footprint.radius_m);
         let components =
             Components::new(&raster, |cell| f64::from(clearance_m[cell]) >= footprint.radius_m);
         let Some((home, _)) = components.best(&raster, LEAST_FREE_M2) else {
@@ -72,6 +79,8 @@ impl FloorPlan {
         let mut plan = Self {
             footprint: *footprint,
             obstacles,
+            edges: Arc::new(edges),
+            drops: Arc::new(drops),
             surfaces,
             raster,
             clearance_m,
@@ -189,6 +198,13 @@ impl FloorPlan {
         }
     }
 
+    /// Distance from a position to the nearest edge over which a robot can fall, if that is less
+    /// than `limit_m`; metres. An edge is known to half a cell (2.5 cm).
+    #[must_use]
+    pub fn drop_distance_m(&self, x_m: f64, y_m: f64, limit_m: f64) -> Option<f64> {
+        self.drops.nearest([x_m, y_m], limit_m).map(|(_, distance_m)| distance_m)
+    }
+
     /// A reachable pose with uniformly distributed position and heading, determined by the seed.
     #[must_use]
     pub fn random_pose(&self, seed: u64) -> Pose2 {
@@ -246,24 +262,39 @@ fn squared_distance(p: &[f64; 2], x_m: f64, y_m: f64) -> f64 {
     (p[0] - x_m).powi(2) + (p[1] - y_m).powi(2)
 }
 
-/// Obstacles between the step height and the robot's height, and the edge of the floor.
+/// Obstacles between the step height and the robot's height.
 fn obstacles(triangles: &[Corners], raster: &Raster, height_m: f64) -> Obstacles {
-    let grid = raster.grid;
-    let mut shapes: Vec<Polygon> =
+    let shapes: Vec<Polygon> =
         triangles.iter().filter_map(|t| obstacle(t, 0.0, height_m)).collect();
+    Obstacles::new(raster.grid, &shapes)
+}
+
+/// The cells without floor beside the floor, as far as `counts` says so.
+fn edges(raster: &Raster, counts: impl Fn(usize) -> bool) -> Obstacles {
+    let grid = raster.grid;
     let half = grid.resolution_m / 2.0;
-    for cell in 0..grid.cells() {
-        if !raster.supported[cell] && grid.neighbours(cell).any(|next| raster.supported[next]) {
+    let shapes: Vec<Polygon> = (0..grid.cells())
+        .filter(|&cell| !raster.supported[cell] && counts(cell))
+        .filter(|&cell| grid.neighbours(cell).any(|next| raster.supported[next]))
+        .map(|cell| {
             let center = grid.center(cell);
-            shapes.push(Polygon::rectangle(center.map(|c| c - half), center.map(|c| c + half)));
-        }
-    }
+            Polygon::rectangle(center.map(|c| c - half), center.map(|c| c + half))
+        })
+        .collect();
     Obstacles::new(grid, &shapes)
+}
+
+/// The edges beside floor that no wall touches.
+fn edges_without_wall(raster: &Raster) -> Obstacles {
+    edges(raster, |cell| {
+        let open = |next: usize| raster.supported[next] && !raster.blocked[next];
+        !raster.blocked[cell] && raster.grid.sides(cell).any(open)
+    })
 }
 
 /// Distance from the centre of every cell to the nearest obstacle: a lower bound from the raster,
 /// and exact where the raster cannot decide whether the robot fits.
-fn clearance(raster: &Raster, obstacles: &Obstacles, radius_m: f64) -> Vec<f32> {
+fn clearance(raster: &Raster, obstacles: [&Obstacles; 2], radius_m: f64) -> Vec<f32> {
     let grid = raster.grid;
     let half = grid.half_diagonal_m();
     let between_centers = distance_to(&grid, |cell| raster.is_obstacle(cell));
@@ -273,8 +304,11 @@ fn clearance(raster: &Raster, obstacles: &Obstacles, radius_m: f64) -> Vec<f32> 
         let may_fit = f64::from(*clearance) + 2.0 * half >= radius_m;
         if !raster.is_obstacle(cell) && may_fit && f64::from(*clearance) < radius_m {
             let limit = radius_m + half;
-            let exact =
-                obstacles.nearest(grid.center(cell), limit).map_or(limit, |(_, distance)| distance);
+            let nearest = obstacles.map(|shapes| shapes.nearest(grid.center(cell), limit));
+            let exact = nearest
+                .into_iter()
+                .flatten()
+                .fold(limit, |least, (_, distance)| least.min(distance));
             *clearance = exact as f32;
         }
     });

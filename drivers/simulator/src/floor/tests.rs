@@ -141,7 +141,7 @@ fn walls_without_a_floor_and_a_shelf_smaller_than_the_robot_are_refused() {
 }
 
 #[test]
-fn the_robot_keeps_clear_of_a_hole_in_the_floor_and_drives_over_a_crack() {
+fn a_robot_that_drives_over_the_edge_of_a_hole_falls_and_one_on_a_crack_does_not() {
     // A stairwell of 1 m at (2..3, 1..2), and a crack of 4 cm along x = 4.
     let plan = plan([
         strip(0.0, 2.0, 0.0, 3.0),
@@ -156,8 +156,16 @@ fn the_robot_keeps_clear_of_a_hole_in_the_floor_and_drives_over_a_crack() {
     );
     assert!(plan.is_reachable(4.02, 1.5) && plan.is_reachable(5.5, 1.5));
     let into = plan.drive(&Pose2::new(1.0, 1.5, 0.0), &ahead(), 5.0, &Body { sliding: false }, &[]);
-    // The edge of the floor is known to half a cell.
-    assert!(into.contact && (into.pose.x_m - 1.84).abs() < 0.06, "{:?}", into.pose);
+    // The front castor is 0.128 m ahead, and the edge of the floor is known to half a cell.
+    assert!(into.fell && !into.contact, "{into:?}");
+    assert!((into.pose.x_m - 1.872).abs() < 0.06, "{:?}", into.pose);
+    let across =
+        plan.drive(&Pose2::new(3.5, 2.5, 0.0), &ahead(), 3.0, &Body { sliding: false }, &[]);
+    assert!(!across.fell && across.pose.x_m > 4.9, "{across:?}");
+    // Edges behind a wall are no drop.
+    assert_eq!(plan.drop_distance_m(5.8, 1.5, 0.5), None);
+    let beside_m = plan.drop_distance_m(1.7, 1.5, 0.5).unwrap();
+    assert!((beside_m - 0.3).abs() < 0.06, "{beside_m}");
 }
 
 fn strip(x0: f32, x1: f32, y0: f32, y1: f32) -> Vec<Triangle> {

@@ -5,6 +5,7 @@ use rand_pcg::Pcg64Mcg;
 use super::geometry::Rect;
 use super::openings::{self, Door, Leaf, WALL_M, Window};
 use super::plan::{self, Cell};
+use super::stairs::Stairwell;
 use super::{HomeKind, Room};
 
 #[derive(Debug, Clone, PartialEq)]
@@ -14,6 +15,8 @@ pub struct Layout {
     pub doors: Vec<Door>,
     pub windows: Vec<Window>,
     pub leaves: Vec<Leaf>,
+    /// Stairs down, in homes that have them.
+    pub stairwell: Option<Stairwell>,
 }
 
 impl Layout {
@@ -26,7 +29,7 @@ impl Layout {
             let rooms = rooms(&cells, height_m);
             let windows = openings::windows(&cells, &rooms, rng);
             let leaves = openings::leaves(&doors, &rooms, rng);
-            return Self { cells, rooms, doors, windows, leaves };
+            return Self { cells, rooms, doors, windows, leaves, stairwell: None };
         }
     }
 }

@@ -12,6 +12,7 @@ mod mesh;
 mod openings;
 mod plan;
 mod shell;
+mod stairs;
 mod styles;
 mod texture;
 
@@ -80,6 +81,8 @@ pub struct HomeOptions {
     pub texture: f32,
     /// Furniture stands at other positions; walls, doors, fixtures and all textures are unchanged.
     pub moved: bool,
+    /// One room has stairs down, without a railing.
+    pub stairs: bool,
 }
 
 impl HomeOptions {
@@ -87,9 +90,9 @@ impl HomeOptions {
     /// ones plain triangulation needs no learning.
     pub const TEXTURE: f32 = 0.25;
 
-    /// Options with the calibrated texture contrast and unmoved furniture.
+    /// Options with the calibrated texture contrast, unmoved furniture and no stairs.
     pub fn new(seed: u64) -> Self {
-        Self { seed, texture: Self::TEXTURE, moved: false }
+        Self { seed, texture: Self::TEXTURE, moved: false, stairs: false }
     }
 }
 
@@ -159,7 +162,7 @@ pub enum Surface {
     Ceiling,
     /// A wall's face towards a room.
     Wall,
-    /// Door leaves and frames, windows and skirtings.
+    /// Door leaves and frames, windows, skirtings and stairs.
     Opening,
     /// Pictures, switches, radiators and lamps, which stay when furniture moves.
     Fixture,
@@ -213,14 +216,21 @@ struct Construction {
 fn construct(kind: HomeKind, options: &HomeOptions) -> Construction {
     let seed = options.seed;
     let height_m = stream(seed, 1).random_range(50..=54) as f32 * 0.05;
-    let layout = layout::Layout::draw(kind, height_m, &mut stream(seed, 2));
+    let mut layout = layout::Layout::draw(kind, height_m, &mut stream(seed, 2));
+    if options.stairs {
+        layout.stairwell = stairs::Stairwell::place(&layout, &mut stream(seed, 10));
+    }
     let mut materials = material_set::MaterialSet::default();
     let style = styles::styles(kind, &layout.rooms, &mut materials, &mut stream(seed, 3));
     let mut mesh = mesh::Mesh::default();
     shell::build(&layout, &style, &mut mesh);
     joinery::build(&layout, &style, &mut materials, &mut mesh, &mut stream(seed, 4));
-    let reserved =
+    let mut reserved =
         fixtures::build(kind, &layout, &style, &mut materials, &mut mesh, &mut stream(seed, 5));
+    if let Some(stairwell) = layout.stairwell {
+        stairwell.build(&layout, &style, &mut mesh);
+        reserved.push(stairwell.reserved());
+    }
     let furniture = furniture::furnish(
         kind,
         &layout,

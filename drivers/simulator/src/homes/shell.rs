@@ -36,10 +36,14 @@ pub fn build(layout: &Layout, style: &HomeStyle, mesh: &mut Mesh) {
     for (index, room) in layout.rooms.iter().enumerate() {
         let appearance = &style.rooms[index];
         let mark = mesh.mark();
-        horizontal(room.rect, 0.0, false, appearance.floor, mesh);
+        let opening = layout
+            .stairwell
+            .filter(|stairwell| stairwell.room == index)
+            .map(|stairwell| stairwell.opening(layout));
+        floor(room.rect, opening, appearance.floor, mesh);
         mesh.tag(mark, index, Surface::Floor);
         let mark = mesh.mark();
-        horizontal(room.rect, room.height_m, true, style.ceiling, mesh);
+        ceiling(room.rect, room.height_m, style.ceiling, mesh);
         mesh.tag(mark, index, Surface::Ceiling);
         for side in Side::ALL {
             let wall = room.rect.wall(side);
@@ -82,22 +86,39 @@ fn cuts(low: f32, high: f32, through: impl Iterator<Item = f32>) -> Vec<f32> {
     all
 }
 
-fn horizontal(rect: Rect, z: f32, down: bool, appearance: Appearance, mesh: &mut Mesh) {
-    let xs = cuts(rect.min[0], rect.max[0], [].into_iter());
-    let ys = cuts(rect.min[1], rect.max[1], [].into_iter());
+/// A floor, with an opening where stairs lead down.
+fn floor(rect: Rect, opening: Option<Rect>, appearance: Appearance, mesh: &mut Mesh) {
+    for corners in horizontal(rect, 0.0, opening) {
+        mesh.quad(corners, flat(corners, appearance), appearance);
+    }
+}
+
+fn ceiling(rect: Rect, z: f32, appearance: Appearance, mesh: &mut Mesh) {
+    for mut corners in horizontal(rect, z, None) {
+        corners.reverse();
+        mesh.quad(corners, flat(corners, appearance), appearance);
+    }
+}
+
+fn flat(corners: [[f32; 3]; 4], appearance: Appearance) -> [[f32; 2]; 4] {
+    corners.map(|c| [c[0] / appearance.tile_m, c[1] / appearance.tile_m])
+}
+
+/// The quads of a horizontal face that looks up.
+fn horizontal(rect: Rect, z: f32, opening: Option<Rect>) -> Vec<[[f32; 3]; 4]> {
+    let edges = |axis: usize| opening.into_iter().flat_map(move |o| [o.min[axis], o.max[axis]]);
+    let xs = cuts(rect.min[0], rect.max[0], edges(0));
+    let ys = cuts(rect.min[1], rect.max[1], edges(1));
+    let mut quads = Vec::new();
     for x in xs.windows(2) {
         for y in ys.windows(2) {
-            let mut corners = [[x[0], y[0], z], [x[1], y[0], z], [x[1], y[1], z], [x[0], y[1], z]];
-            if down {
-                corners.reverse();
+            let middle = [f32::midpoint(x[0], x[1]), f32::midpoint(y[0], y[1])];
+            if !opening.is_some_and(|opening| opening.contains(middle)) {
+                quads.push([[x[0], y[0], z], [x[1], y[0], z], [x[1], y[1], z], [x[0], y[1], z]]);
             }
-            mesh.quad(
-                corners,
-                corners.map(|c| [c[0] / appearance.tile_m, c[1] / appearance.tile_m]),
-                appearance,
-            );
         }
     }
+    quads
 }
 
 /// A wall's face with its holes; u runs to the right as seen from the room, v downwards.

@@ -48,6 +48,34 @@ fn digest_of(seed: u64, kind: HomeKind) -> u64 {
 }
 
 #[test]
+fn every_home_may_have_stairs_down_that_leave_all_else_as_it_is() {
+    for kind in HomeKind::ALL {
+        for seed in 0..SEEDS {
+            let without = construct(kind, &HomeOptions::new(seed));
+            let with = construct(kind, &HomeOptions { stairs: true, ..HomeOptions::new(seed) });
+            assert_eq!(
+                (&without.layout.rooms, without.layout.stairwell),
+                (&with.layout.rooms, None)
+            );
+            assert_eq!(without.layout.doors, with.layout.doors);
+            let stairwell = with.layout.stairwell.unwrap_or_else(|| panic!("{kind} {seed}"));
+            let opening = stairwell.opening(&with.layout);
+            assert!(opening.area_m2() > 1.2, "{kind} {seed}");
+            let floor_in_it = with.mesh.quads.iter().filter(|quad| quad.surface == Surface::Floor);
+            for quad in floor_in_it {
+                let center = [0, 1].map(|i| quad.corners.iter().map(|c| c[i]).sum::<f32>() / 4.0);
+                assert!(!opening.contains(center), "{kind} {seed}: floor at {center:?}");
+            }
+            let lowest = with.mesh.quads.iter().flat_map(|quad| quad.corners.map(|c| c[2]));
+            assert!(lowest.fold(0.0, f32::min) < -1.2, "{kind} {seed}");
+            for piece in &with.furniture {
+                assert!(!piece.rect.overlaps(&opening), "{kind} {seed}: {}", piece.name);
+            }
+        }
+    }
+}
+
+#[test]
 fn names_of_kinds_are_read_back_and_others_refused() {
     for kind in HomeKind::ALL {
         assert_eq!(kind.to_string().parse(), Ok(kind));

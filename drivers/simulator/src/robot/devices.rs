@@ -206,6 +206,23 @@ impl Truth {
         std::mem::take(&mut lock(&self.shared).touched_in_truth)
     }
 
+    /// Whether a wheel left the floor, at an edge or a stairwell. The robot does not move any more.
+    #[must_use]
+    pub fn fell(&self) -> bool {
+        lock(&self.shared).fell
+    }
+
+    /// Distance from the robot's footprint to the nearest edge over which it can fall, if that is
+    /// less than `limit_m`; metres.
+    #[must_use]
+    pub fn drop_distance_m(&self, limit_m: f64) -> Option<f64> {
+        let state = lock(&self.shared);
+        let radius_m = state.plan.footprint().radius_m;
+        let pose = state.pose;
+        let from_center_m = state.plan.drop_distance_m(pose.x_m, pose.y_m, limit_m + radius_m)?;
+        Some((from_center_m - radius_m).max(0.0))
+    }
+
     /// Copies the z-depth of the last frame.
     pub fn depth(&self, into: &mut DepthMap) {
         into.clone_from(&lock(&self.shared).depth);

@@ -1,4 +1,5 @@
-//! Base motion: the robot follows the commanded arc until it touches an obstacle.
+//! Base motion: the robot follows the commanded arc until it touches an obstacle or falls over an
+//! edge of the floor.
 
 use hal::Twist2;
 
@@ -17,6 +18,11 @@ impl State {
         let fresh_until_ns = self.commanded_ns.saturating_add(self.options.watchdog_ns);
         let seconds = (deadline_ns.min(fresh_until_ns).saturating_sub(self.now_ns)) as f64 * 1e-9;
         self.now_ns = deadline_ns;
+        if self.fell {
+            self.trail.push(deadline_ns, self.pose);
+            self.twist = Twist2::ZERO;
+            return;
+        }
         let body = Body { sliding: self.options.sliding };
         let moved = self.plan.drive(&self.pose, &self.command, seconds, &body, &self.bodies());
         let odom_before = self.odometer.pose();
@@ -24,6 +30,7 @@ impl State {
         let measured = odom_before.inverse().compose(&self.odometer.pose());
         self.pose = moved.pose;
         self.trail.push(deadline_ns, moved.pose);
+        self.fell = moved.fell;
         self.contact = moved.contact;
         self.touched |= moved.contact;
         self.touched_in_truth |= moved.contact;

@@ -183,6 +183,8 @@ pub(crate) struct State {
     twist: Twist2,
     command: Twist2,
     commanded_ns: u64,
+    /// Whether a wheel left the floor. The robot never moves again.
+    fell: bool,
     /// Whether the robot touched an obstacle during the last step.
     contact: bool,
     /// Whether the robot touched an obstacle since the last feedback.
@@ -223,6 +225,7 @@ impl SimulatedRobot {
             twist: Twist2::ZERO,
             command: Twist2::ZERO,
             commanded_ns: 0,
+            fell: false,
             contact: false,
             touched: false,
             touched_in_truth: false,

@@ -236,6 +236,32 @@ fn moved_m(seed: u64) -> f32 {
 }
 
 #[test]
+fn a_robot_that_fell_never_moves_again() {
+    let home = World::open("builtin:apartment?seed=1&stairs=1", &OpenOptions::default()).unwrap();
+    let plan = home.floor_plan();
+    // A place 0.5 m from the edge, and the way to it.
+    let start = plan
+        .reachable()
+        .filter(|[x, y]| plan.drop_distance_m(*x, *y, 0.5).is_some())
+        .find_map(|[x, y]| {
+            (0..16).map(|i| Pose2::new(x, y, f64::from(i) * 0.4)).find(|pose| {
+                let ahead = Twist2 { linear_mps: 0.5, angular_radps: 0.0 };
+                plan.drive(pose, &ahead, 1.0, &crate::floor::Body { sliding: false }, &[]).fell
+            })
+        })
+        .unwrap();
+    let mut devices = SimulatedRobot::new(Arc::new(home.clone()), exact(start)).unwrap().devices();
+    assert!(!devices.truth.fell());
+    for _ in 0..10 {
+        tick(&mut devices, 0.5, 0.0);
+    }
+    assert!(devices.truth.fell());
+    let there = devices.truth.pose();
+    let feedback = tick(&mut devices, -0.5, 0.0);
+    assert_eq!((devices.truth.pose(), feedback.twist), (there, Twist2::ZERO));
+}
+
+#[test]
 fn an_uneven_floor_tilts_the_view() {
     let start = Pose2::new(2.0, 2.0, 0.0);
     let depths = [0.0, 0.0035].map(|floor_tilt_rad| {

@@ -21,7 +21,7 @@ mod report;
 
 use std::sync::Arc;
 
-use hal::{Base, Clock, DriveCommand, ErrorType, StopCause, Twist2, WheelFeedback};
+use hal::{Base, Clock, DriveCommand, ErrorType, PowerReport, StopCause, Twist2, WheelFeedback};
 
 use super::bus::{Backoff, CanBus, ErrorState, SendProblem};
 use super::config::BaseConfig;
@@ -30,7 +30,7 @@ use super::guard::WheelGuard;
 use super::kinematics::{Kinematics, Odometry, Wheels};
 use super::limits::Limiter;
 use super::messages::SafetyInput;
-use super::protocol::{MotorProtocol, MotorStage, MotorStatus, Outbox};
+use super::protocol::{MotorProtocol, MotorStage, MotorStatus, Outbox, power};
 use monotonic_clock::MonotonicClock;
 
 use crate::DeviceStatus;
@@ -621,6 +621,11 @@ impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
             (_, Phase::Tripped(Trip::LoopStalled)) => Some(StopCause::LoopStalled),
             _ => None,
         }
+    }
+
+    fn power(&self) -> PowerReport {
+        let now_ns = self.clock.now_ns();
+        power::combined(self.motors().map(|motor| motor.power.report(now_ns)))
     }
 
     fn drive(&mut self, command: &DriveCommand) -> Result<(), CanError> {

@@ -8,6 +8,11 @@
 //! Frames of one tick: the host's heartbeat (sent by one motor for all, once its watchdog is
 //! confirmed), RPDO1 with controlword and target velocity, SYNC (also sent by one motor), and in
 //! response to it the drive's TPDO1 (statusword, velocity) and TPDO2 (position).
+//!
+//! Once per second, the driver asks a drive that is set up for the voltage of its DC link (0x6079, in
+//! mV). The object is optional: a drive that refuses it is not asked again. The profile has no
+//! object for a temperature, and its current (0x6078) is a share of the motor's rated current, not
+//! the supply's; a drive that is too hot reports that as an emergency.
 
 use std::f64::consts::TAU;
 
@@ -35,6 +40,10 @@ const BOOT_UP: u8 = 0;
 const PDO_DISABLED: u32 = 0x8000_0000;
 /// The drive must get from fault to operation within this time.
 const ENABLE_NS: u64 = 1_000_000_000;
+
+/// The voltage of the DC link, mV (CiA 402-2), and how often it is read.
+const DC_LINK_VOLTAGE: u16 = 0x6079;
+const DC_LINK_NS: u64 = 1_000_000_000;
 
 /// Number of entries that the set-up writes.
 const ENTRIES: usize = 25;
@@ -86,6 +95,8 @@ pub struct Cia402 {
     position: UnwrappedCounter,
     position_ns: u64,
     velocity_radps: f64,
+    /// When the voltage is asked for next; `None` if the drive refuses it.
+    voltage_due_ns: Option<u64>,
 }
 
 /// The entries to write, in this order. The watchdog is last: reading it back confirms it.
@@ -146,6 +157,7 @@ impl Cia402 {
             position: UnwrappedCounter::default(),
             position_ns: 0,
             velocity_radps: 0.0,
+            voltage_due_ns: Some(DC_LINK_NS),
         }
     }
 
@@ -162,7 +174,17 @@ impl Cia402 {
         self.status.problem = Some(problem);
     }
 
-    fn on_response(&mut self, data: &[u8; 8]) {
+    fn on_response(&mut self, data: &[u8; 8], time_ns: u64) {
+        match sdo::decode(data) {
+            Some(Response::Value { index: DC_LINK_VOLTAGE, value, .. }) => {
+                self.status.power.voltage(f64::from(value) / 1e3, time_ns);
+            }
+            Some(Response::Abort { index: DC_LINK_VOLTAGE, .. }) => self.voltage_due_ns = None,
+            _ => self.on_set_up(data),
+        }
+    }
+
+    fn on_set_up(&mut self, data: &[u8; 8]) {
         let (Step::Write(at) | Step::ReadBack(at)) = self.step else { return };
         let Some(response) = sdo::decode(data) else { return };
         let Some(entry) = self.script.get(at).copied() else { return };
@@ -276,6 +298,15 @@ impl Cia402 {
         MotorProblem::Fault { code: u32::from(self.emergency), meaning }
     }
 
+    /// Asks a drive that is set up for its voltage when that is due.
+    fn ask_for_voltage(&mut self, now_ns: u64, out: &mut Outbox) {
+        let is_set_up = matches!(self.step, Step::Ready | Step::Enabled);
+        if is_set_up && self.voltage_due_ns.is_some_and(|due_ns| now_ns >= due_ns) {
+            self.voltage_due_ns = Some(now_ns + DC_LINK_NS);
+            put(out, [Entry::u32(DC_LINK_VOLTAGE, 0, 0).upload(self.node.node)]);
+        }
+    }
+
     fn send_request(&mut self, now_ns: u64, out: &mut Outbox) {
         let request = match self.step {
             Step::PreOperational | Step::Write(_) | Step::ReadBack(_) => "object dictionary",
@@ -336,7 +367,7 @@ impl MotorProtocol for Cia402 {
             (HEARTBEAT, [state]) => self.on_heartbeat(*state),
             (EMERGENCY, [low, high, ..]) => self.emergency = u16::from_le_bytes([*low, *high]),
             (SDO_RESPONSE, _) => match frame.eight() {
-                Some(data) => self.on_response(data),
+                Some(data) => self.on_response(data, time_ns),
                 None => self.status.bad += 1,
             },
             _ => return false,
@@ -372,6 +403,7 @@ impl MotorProtocol for Cia402 {
             );
         }
         self.send_request(now_ns, out);
+        self.ask_for_voltage(now_ns, out);
         if self.node.leads {
             put(out, [CanFrame::standard_short(SYNC, [0; 8], 0)]);
         }
@@ -495,6 +527,24 @@ mod tests {
             (motor.status.stage, motor.status.problem),
             (MotorStage::Refused, Some(problem))
         );
+    }
+
+    #[test]
+    fn the_voltage_of_the_dc_link_is_read_once_per_second_from_a_drive_that_has_it() {
+        let mut motor = Cia402::new(NODE);
+        motor.step = Step::Ready;
+        assert_eq!(sent(&mut motor, 0), ["080#"]);
+        assert_eq!(sent(&mut motor, 1_000_000_000), ["605#4079600000000000", "080#"]);
+        assert_eq!(sent(&mut motor, 1_990_000_000), ["080#"]);
+        // 23,900 mV in four bytes.
+        let answer = CanFrame::standard(0x585, [0x43, 0x79, 0x60, 0, 0x5c, 0x5d, 0, 0]);
+        assert!(motor.receive(&answer, 1_001_000_000));
+        assert_eq!(motor.status.power.report(1_001_000_000).voltage_v, Some(23.9));
+        // Object does not exist (CiA 301, abort code 0602 0000).
+        let abort = CanFrame::standard(0x585, [0x80, 0x79, 0x60, 0, 0, 0, 0x02, 0x06]);
+        assert!(motor.receive(&abort, 1_002_000_000));
+        assert_eq!(sent(&mut motor, 9_000_000_000), ["080#"]);
+        assert_eq!(motor.status.stage, MotorStage::SettingUp, "a refused voltage is no fault");
     }
 
     #[test]

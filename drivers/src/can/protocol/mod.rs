@@ -19,10 +19,13 @@
 pub mod cia402;
 pub mod crc;
 pub mod odrive;
+pub mod power;
 pub mod sdo;
 pub mod vesc;
 
 use std::fmt;
+
+pub use power::PowerReadings;
 
 use super::frame::CanFrame;
 
@@ -160,6 +163,8 @@ pub struct MotorStatus {
     pub position_rad: f64,
     /// Monotonic time of the older of the two measurements; 0 before the first.
     pub feedback_ns: u64,
+    /// Supply and temperatures, as far as the controller reports them.
+    pub power: PowerReadings,
     /// Frames that failed a check and were dropped.
     pub bad: u64,
 }

@@ -5,7 +5,9 @@
 //! versions. Therefore the driver reads the firmware version first, which must be the configured
 //! one. `Set_Input_Vel` feeds the watchdog. The controller must be configured to send its encoder
 //! estimates every 10 to 50 ms (`can.config.encoder_msg_rate_ms`) and its heartbeat at least every
-//! 100 ms.
+//! 100 ms. For the battery's voltage and the temperatures it must also be configured to send
+//! `Get_Bus_Voltage_Current` and `Get_Temperature` at least every second
+//! (`can.config.bus_voltage_msg_rate_ms`, `can.config.temperature_msg_rate_ms`).
 
 use std::f64::consts::TAU;
 
@@ -22,6 +24,8 @@ mod command {
     pub const ENCODER: u16 = 0x09;
     pub const MODES: u16 = 0x0b;
     pub const VELOCITY: u16 = 0x0d;
+    pub const TEMPERATURE: u16 = 0x15;
+    pub const BUS_SUPPLY: u16 = 0x17;
     pub const CLEAR_ERRORS: u16 = 0x18;
 }
 
@@ -221,6 +225,18 @@ impl Odrive {
         }
     }
 
+    /// Inverter and motor temperature, degrees Celsius.
+    fn on_temperature(&mut self, data: &[u8; 8], time_ns: u64) {
+        self.status.power.temperatures(two_floats(data), time_ns);
+    }
+
+    /// Voltage and current of the supply, V and A.
+    fn on_supply(&mut self, data: &[u8; 8], time_ns: u64) {
+        let [voltage_v, current_a] = two_floats(data);
+        self.status.power.voltage(voltage_v, time_ns);
+        self.status.power.current(current_a, time_ns);
+    }
+
     /// Sends the requests of the current set-up step when they are due.
     fn send_requests(&mut self, now_ns: u64, out: &mut Outbox) {
         let request = match self.step {
@@ -290,9 +306,13 @@ impl MotorProtocol for Odrive {
             (command::HEARTBEAT, _) => self.on_heartbeat(frame.data()),
             (command::ENCODER, Some(data)) => self.on_encoder(data, time_ns),
             (command::READ_RESPONSE, _) => self.on_response(frame.data()),
-            (command::VERSION | command::ENCODER, None) => self.status.bad += 1,
-            // Currents, temperatures and other messages that the controller may be configured to
-            // send.
+            (command::TEMPERATURE, Some(data)) => self.on_temperature(data, time_ns),
+            (command::BUS_SUPPLY, Some(data)) => self.on_supply(data, time_ns),
+            (
+                command::VERSION | command::ENCODER | command::TEMPERATURE | command::BUS_SUPPLY,
+                None,
+            ) => self.status.bad += 1,
+            // Motor currents and other messages that the controller may be configured to send.
             _ => {}
         }
         true
@@ -352,6 +372,12 @@ impl MotorProtocol for Odrive {
     fn status(&self) -> &MotorStatus {
         &self.status
     }
+}
+
+/// Two IEEE 754 numbers of 32 bits.
+fn two_floats(data: &[u8; 8]) -> [f64; 2] {
+    let [a, b, c, d, e, f, g, h] = *data;
+    [[a, b, c, d], [e, f, g, h]].map(|bytes| f64::from(f32::from_le_bytes(bytes)))
 }
 
 /// The bits of `ODrive.Error` of firmware 0.6, the most specific first.
@@ -437,6 +463,21 @@ mod tests {
         let mut motor = Odrive::new(NODE);
         assert!(!deliver(&mut motor, 0x080, &[2, 4, 4, 58, 0, 6, 10, 0]));
         assert!(!motor.receive(&CanFrame::extended_short(0x060, [0; 8], 8), 0));
+    }
+
+    #[test]
+    fn supply_and_temperatures_are_those_of_the_protocols_messages() {
+        let mut motor = Odrive::new(NODE);
+        // Get_Bus_Voltage_Current (0x17): 24.0 V, 1.5 A. Get_Temperature (0x15): 45.0, 61.5 degrees.
+        deliver(&mut motor, 0x077, &[0, 0, 0xc0, 0x41, 0, 0, 0xc0, 0x3f]);
+        deliver(&mut motor, 0x075, &[0, 0, 0x34, 0x42, 0, 0, 0x76, 0x42]);
+        let report = motor.status().power.report(5);
+        assert_eq!(report.voltage_v, Some(24.0));
+        assert_eq!(report.current_a, Some(1.5));
+        assert_eq!(report.temperature_c, Some(61.5));
+        deliver(&mut motor, 0x077, &[0; 4]);
+        assert_eq!(motor.status().bad, 1);
+        assert_eq!(motor.status().power.report(5).voltage_v, Some(24.0));
     }
 
     #[test]

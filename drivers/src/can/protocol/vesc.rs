@@ -17,7 +17,8 @@
 //! current. A VESC has no armed state: after its time-out it follows the next command at once, so
 //! no stale command may ever reach it.
 //!
-//! The controller must send STATUS and STATUS_5 every 10 to 50 ms.
+//! The controller must send STATUS and STATUS_5 every 10 to 50 ms. STATUS_5 holds the supply's
+//! voltage; STATUS_4, if it is sent, holds its current and the temperatures.
 
 use std::f64::consts::TAU;
 
@@ -38,6 +39,7 @@ mod packet {
     pub const PROCESS: u32 = 7;
     pub const PROCESS_SHORT: u32 = 8;
     pub const STATUS: u32 = 9;
+    pub const STATUS_4: u32 = 16;
     pub const STATUS_5: u32 = 27;
 }
 
@@ -244,13 +246,26 @@ impl Vesc {
     }
 
     fn on_position(&mut self, data: &[u8], time_ns: u64) {
-        let Some(steps) = data.first_chunk::<4>() else {
+        let Some((steps, rest)) = data.split_first_chunk::<4>() else {
             self.status.bad += 1;
             return;
         };
+        if let Some([decivolts]) = sixteen_bits(rest) {
+            self.status.power.voltage(decivolts / 10.0, time_ns);
+        }
         let steps = self.position.update(i32::from_be_bytes(*steps));
         self.status.position_rad = steps as f64 / (STEPS * self.node.pole_pairs) * TAU;
         self.position_ns = time_ns;
+    }
+
+    /// Temperatures of inverter and motor and the supply's current, each in tenths.
+    fn on_temperatures(&mut self, data: &[u8], time_ns: u64) {
+        let Some([inverter, motor, current]) = sixteen_bits(data) else {
+            self.status.bad += 1;
+            return;
+        };
+        self.status.power.temperatures([inverter / 10.0, motor / 10.0], time_ns);
+        self.status.power.current(current / 10.0, time_ns);
     }
 
     fn on_response(&mut self, kind: u32, data: &[u8]) {
@@ -282,8 +297,9 @@ impl MotorProtocol for Vesc {
         match kind {
             packet::STATUS if to == self.node.node => self.on_status(frame.data(), time_ns),
             packet::STATUS_5 if to == self.node.node => self.on_position(frame.data(), time_ns),
-            // STATUS_2, _3, _4, _6 and PONG.
-            14..=16 | 18 | 58 if to == self.node.node => {}
+            packet::STATUS_4 if to == self.node.node => self.on_temperatures(frame.data(), time_ns),
+            // STATUS_2, _3, _6 and PONG.
+            14 | 15 | 18 | 58 if to == self.node.node => {}
             packet::FILL..=packet::PROCESS_SHORT if to == self.node.host => {
                 self.on_response(kind, frame.data());
             }
@@ -352,6 +368,17 @@ impl MotorProtocol for Vesc {
     }
 }
 
+/// Signed numbers of 16 bits at the beginning of a message; `None` if it is shorter.
+fn sixteen_bits<const N: usize>(data: &[u8]) -> Option<[f64; N]> {
+    let mut numbers = [0.0; N];
+    let mut pairs = data.chunks_exact(2);
+    for number in &mut numbers {
+        let pair = pairs.next()?.first_chunk::<2>()?;
+        *number = f64::from(i16::from_be_bytes(*pair));
+    }
+    Some(numbers)
+}
+
 /// The codes of `mc_fault_code` in the firmware's `datatypes.h`.
 fn fault(code: u8) -> MotorProblem {
     let meaning = match code {
@@ -412,6 +439,22 @@ mod tests {
             &CanFrame::new(CanId::Extended(7 << 8 | 254), &end).expect("a valid frame"),
             0
         ));
+    }
+
+    #[test]
+    fn supply_and_temperatures_are_those_of_status_4_and_status_5() {
+        let mut motor = Vesc::new(NODE);
+        let mut deliver = |kind: u32, data: &[u8]| {
+            let frame = CanFrame::new(CanId::Extended(kind << 8 | 10), data).expect("valid");
+            assert!(motor.receive(&frame, 7));
+        };
+        // STATUS_4: 41.0 and 58.5 degrees, 3.2 A, 100 degrees of position. STATUS_5: 1000 steps, 23.6 V.
+        deliver(16, &[0x01, 0x9a, 0x02, 0x49, 0x00, 0x20, 0x13, 0x88]);
+        deliver(27, &[0x00, 0x00, 0x03, 0xe8, 0x00, 0xec, 0, 0]);
+        let report = motor.status().power.report(7);
+        assert_eq!(report.temperature_c, Some(58.5));
+        assert_eq!(report.current_a, Some(3.2));
+        assert_eq!(report.voltage_v, Some(23.6));
     }
 
     #[test]
