@@ -36,6 +36,8 @@ pub struct Evaluation {
     near_edge: bool,
     fell: bool,
     path_m: f64,
+    /// True pose at the last frame.
+    last_truth: Option<Pose2>,
     poses: Vec<PosePair>,
     goals: Vec<Goal>,
     trips_m: Vec<[f64; 2]>,
@@ -74,6 +76,7 @@ impl Evaluation {
             near_edge: false,
             fell: false,
             path_m: 0.0,
+            last_truth: None,
             poses: Vec::new(),
             goals: Vec::new(),
             trips_m: Vec::new(),
@@ -94,22 +97,26 @@ impl Evaluation {
             self.compare_depth(robot, depth)?;
         }
         self.stuck.frame(truth.pose);
-        if let Some(last) = self.poses.last() {
-            self.path_m += last.truth.distance_m(&truth.pose);
+        if let Some(last) = self.last_truth.replace(truth.pose) {
+            self.path_m += last.distance_m(&truth.pose);
         }
-        let is_first = self.poses.is_empty();
         let believed = robot.poses();
-        self.poses.push(PosePair {
-            truth: truth.pose,
-            t_odom_base: believed.t_odom_base,
-            t_map_base: believed.t_map_base(),
-        });
         self.collisions += u64::from(truth.contact && !self.in_contact);
         self.in_contact = truth.contact;
         self.edge_approaches += u64::from(truth.near_edge && !self.near_edge);
         self.near_edge = truth.near_edge;
         self.fell |= truth.fell;
         self.count_events(decision, believed);
+        if robot.whereabouts().lost().is_some() {
+            // A lost robot claims no pose in its map, and maps nothing.
+            return Ok(());
+        }
+        let is_first = self.poses.is_empty();
+        self.poses.push(PosePair {
+            truth: truth.pose,
+            t_odom_base: believed.t_odom_base,
+            t_map_base: believed.t_map_base(),
+        });
         let t_world_map = truth.pose.compose(&believed.t_map_base().inverse());
         let map = robot.map();
         if is_first {

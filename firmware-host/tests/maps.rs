@@ -88,12 +88,14 @@ fn a_home_that_was_saved_is_known_when_the_next_run_begins_and_that_run_replays(
     let saved = std::fs::read(&map).unwrap();
     let start = home.end_of("first");
     let next = ["--start", &start];
-    let without = home.explored("without", "10", &next);
-    let again = home.explored("again", "10", &[next[0], next[1], "--map", &map]);
+    // It is lost until it has recognized the place in views from several headings.
+    let again = home.explored("again", "100", &[next[0], next[1], "--map", &map]);
+    assert_eq!(again["lost"]["loaded"], 1, "{again}");
     let coverage = |summary: &serde_json::Value| summary["coverage"].as_f64().unwrap();
-    assert!(coverage(&again) > coverage(&without) + 0.05, "{again} {without}");
     assert!(coverage(&again) > 0.95 * coverage(&first), "{again} {first}");
-    assert!(replayed(&home.text("again")).ends_with("replay: ticks=10 mismatches=0\n"));
+    let found = ticks(&home.path("again")).pop().unwrap().decision.unwrap();
+    assert_eq!(found.lost, None, "{again}");
+    assert!(replayed(&home.text("again")).ends_with("replay: ticks=100 mismatches=0\n"));
     assert_ne!(std::fs::read(&map).unwrap(), saved, "the file holds the newer map");
 }
 
@@ -195,10 +197,10 @@ fn a_robot_stays_within_a_fence_and_the_fence_is_in_the_recording() {
         let poses = ticks(&home.path(name)).into_iter().map(|tick| tick.t_map_base());
         poses.map(|pose| pose.x_m.abs().max(pose.y_m.abs())).fold(0.0, f64::max)
     };
-    home.explored("free", "150", &[]);
+    home.explored("free", "400", &[]);
     assert!(farthest_m("free") > inside_m, "{} m without a fence", farthest_m("free"));
     let path = home.text("fence.geojson");
-    home.explored("fenced", "150", &["--keep-out", &path]);
+    home.explored("fenced", "400", &["--keep-out", &path]);
     assert!(farthest_m("fenced") < inside_m, "{} m with a fence", farthest_m("fenced"));
     std::fs::remove_file(&path).unwrap();
     assert!(replayed(&home.text("fenced")).ends_with("mismatches=0\n"));

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use hal::ScanGeometry;
+use runtime::recording::lost_reason;
 use runtime::robot::Robot;
 
 use super::file::{About, MapFile};
@@ -76,11 +77,16 @@ impl KeptMap {
         }
     }
 
-    /// Replaces the file with the robot's map.
+    /// Replaces the file with the robot's map. A robot that never found itself in the loaded map, or that is lost at the end, leaves
+    /// the file as it is.
     ///
     /// # Errors
     /// When it cannot be written. The old file then stays.
     pub fn save(&self, robot: &Robot) -> Result<()> {
+        if let Some(why) = robot.whereabouts().lost() {
+            tracing::warn!("{} stays as it was: {}", self.path.display(), lost_reason(why));
+            return Ok(());
+        }
         let about = About::now(self.scanner_height_m);
         MapFile { about, state: robot.map_state() }.write(&self.path)?;
         Ok(())

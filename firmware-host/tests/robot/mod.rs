@@ -121,7 +121,7 @@ impl Robot {
             let mut args =
                 vec!["explore", "--scene", "builtin:apartment?seed=1", "--policy", "frontier"];
             let config = self.text("robot.toml");
-            args.extend(["--frames", "1500", "--config", &config, "--out", &home]);
+            args.extend(["--frames", "2200", "--config", &config, "--out", &home]);
             let explored = run(&args);
             assert!(explored.status.success(), "{}", String::from_utf8_lossy(&explored.stderr));
         }

@@ -9,7 +9,7 @@ use crate::perception::DepthEstimate;
 
 /// A window that reaches beyond the stairs.
 fn wide() -> MapConfig {
-    MapConfig { side_cells: 400, recenter_cells: 20, ..MapConfig::default() }
+    MapConfig { side_cells: 400, recenter_cells: 20, drop_range_m: 4.0, ..MapConfig::default() }
 }
 
 /// A shaft with vertical walls in an infinite floor, metres.

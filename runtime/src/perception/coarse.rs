@@ -59,7 +59,7 @@ pub struct CoarseDepth {
     image: CensusImage,
     motion: FrameMotion,
     rotation_filter: RotationFilter,
-    /// The last frame had flow to the frame before.
+    /// The last frame had flow to the frame before, and its yaw error was not taken yet.
     has_motion: bool,
     /// `t_odom_camera` of the last frame, filtered.
     pose: Pose3,
@@ -187,10 +187,11 @@ impl CoarseDepth {
     }
 
     /// What image motion says of the yaw of the robot since the previous frame, beside the given poses; positive to the left.
-    /// `None` when the last frame had no flow to the frame before. `up` is the vertical axis in the camera's frame.
-    #[must_use]
-    pub fn yaw_error(&self, up: &Vector3<f64>) -> Option<YawError> {
-        self.rotation_filter.error_about(up).filter(|_| self.has_motion)
+    /// `None` when the last frame had no flow to the frame before, and when it was taken already. `up` is the vertical axis in
+    /// the camera's frame.
+    pub fn take_yaw_error(&mut self, up: &Vector3<f64>) -> Option<YawError> {
+        let has_motion = std::mem::take(&mut self.has_motion);
+        self.rotation_filter.error_about(up).filter(|_| has_motion)
     }
 
     /// The result of the last successful [`estimate`](Self::estimate).

@@ -417,7 +417,7 @@ impl Robot {
     fn find_camera_time(&mut self, input: &TickInput<'_>) {
         if input.frame.is_some() {
             let up = self.config.t_base_camera.rotation.inverse() * Vector3::z();
-            let yaw_error = self.coarse.yaw_error(&up);
+            let yaw_error = self.coarse.take_yaw_error(&up);
             self.camera_time.observe(input.wheel.time_ns, &input.wheel.twist, yaw_error);
         }
     }

@@ -476,7 +476,7 @@ impl SafetyPlane {
             return trip;
         }
         let (_, free_m) = self.free_ahead(wheel, &desired);
-        if let Some(stands) = self.stand_if_blind(time_ns, &desired) {
+        if let Some(stands) = self.stand_if_blind(time_ns, &wheel.odom, &desired) {
             return stands;
         }
         let creep_mps = self.restrained(time_ns, desired).linear_mps;
@@ -497,8 +497,14 @@ impl SafetyPlane {
 
     /// Records whether the scanner sees the path of a forward twist. The robot stands if the
     /// scanner has not seen it for too long; rotations stay possible, so that the robot can face
-    /// another direction.
-    fn stand_if_blind(&mut self, time_ns: u64, desired: &Twist2) -> Option<SafetyOutput> {
+    /// another direction. The place ahead is reported as blocked, so that the planner takes another
+    /// path.
+    fn stand_if_blind(
+        &mut self,
+        time_ns: u64,
+        odom: &Pose2,
+        desired: &Twist2,
+    ) -> Option<SafetyOutput> {
         if !self.surroundings.is_blind_ahead(&self.footprint, desired) {
             self.blind_since_ns = None;
             self.view_lost = false;
@@ -513,7 +519,12 @@ impl SafetyPlane {
         let output = SafetyOutput::pass(if collides { Twist2::ZERO } else { rotation });
         self.state = SafetyState::Slow;
         let is_news = !std::mem::replace(&mut self.view_lost, true);
-        Some(if is_news { output.because(SafetyEvent::ViewLost) } else { output })
+        if !is_news {
+            return Some(output);
+        }
+        let ahead_m = self.footprint.front_edge_m() + self.config.stop_distance_m;
+        let blocked_m = Some(odom.transform(ahead_m, 0.0).into());
+        Some(SafetyOutput { blocked_m, ..output }.because(SafetyEvent::ViewLost))
     }
 
     /// The highest speed with regard to obstacles that pass within the lateral margin.
