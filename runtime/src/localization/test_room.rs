@@ -104,13 +104,13 @@ impl TestRobot {
         self.time_ns += STEP_NS;
     }
 
-    /// A scan whose middle is now, of beams that are spread over the sweep while the robot moves as in the last step.
+    /// A scan whose middle is now, of beams that are spread over the revolution while the robot moves as in the last step.
     pub(crate) fn scan(&mut self) -> LaserScan {
         let geometry = self.geometry;
         let mut scan = LaserScan::empty(geometry);
         scan.time_ns = self.time_ns - geometry.period_ns / 2;
         for beam in 0..geometry.beams {
-            let share = (beam as f64 + 0.5) / geometry.beams as f64 - 0.5;
+            let share = geometry.angle_rad(beam) / std::f64::consts::TAU;
             let after = share * geometry.period_ns as f64 / STEP_NS as f64;
             let moved = Pose2::new(self.motion.x_m * after, 0.0, self.motion.yaw_rad * after);
             let pose = self.truth.compose(&moved);
