@@ -183,7 +183,7 @@ mod tests {
     #[test]
     fn depth_that_is_right_less_often_than_the_floor_fails_whatever_is_committed() {
         assert!(check_floors(&[home(0.7, 0)]).is_ok());
-        assert!(check_floors(&[home(0.7, 0), home(0.59, 0)]).is_err());
+        assert!(check_floors(&[home(0.7, 0), home(0.54, 0)]).is_err());
         assert!(check_floors(&[home(f64::NAN, 0)]).is_err());
         assert!(check_floors(&[home(0.7, 1), home(0.7, 1)]).is_err());
     }
