@@ -358,7 +358,8 @@ proptest! {
                 prop_assert!(x > 3.8 && y > 2.8, "{pose:?}");
                 break;
             }
-            prop_assert!(plan.fits(x, y, &[]), "{pose:?}");
+            // It may reach over an edge as long as its wheels stand on the floor.
+            prop_assert!(plan.stands(&pose), "{pose:?}");
             prop_assert!(!plan.is_blocked(x, y) && plan.is_supported(x, y), "{pose:?}");
             // Analytic check: clear of the walls and of the two large boxes.
             prop_assert!((0.16 - 2e-5..4.84 + 2e-5).contains(&x) && (0.16 - 2e-5..3.84 + 2e-5).contains(&y), "{pose:?}");
@@ -373,7 +374,10 @@ proptest! {
     fn sliding_gets_at_least_as_far_along_a_straight_path(seed: u64, seconds in 0.0..3.0) {
         let plan = &*CLUTTERED;
         let from = plan.random_pose(seed);
-        prop_assert!(distance_ahead(true, plan, &from, seconds) >= distance_ahead(false, plan, &from, seconds) - 1e-5);
+        // What slides past an obstacle may fall where the other one is held.
+        let fell = plan.drive(&from, &ahead(), seconds, &Body { sliding: true }, &[]).fell;
+        let slid_m = distance_ahead(true, plan, &from, seconds);
+        prop_assert!(fell || slid_m >= distance_ahead(false, plan, &from, seconds) - 1e-5);
     }
 
     #[test]
