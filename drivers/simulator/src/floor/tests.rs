@@ -374,10 +374,11 @@ proptest! {
     fn sliding_gets_at_least_as_far_along_a_straight_path(seed: u64, seconds in 0.0..3.0) {
         let plan = &*CLUTTERED;
         let from = plan.random_pose(seed);
-        // What slides past an obstacle may fall where the other one is held.
+        // What slides past an obstacle may fall where the other one is held. In a wedge, the step that ends the motion may end
+        // a millimetre earlier.
         let fell = plan.drive(&from, &ahead(), seconds, &Body { sliding: true }, &[]).fell;
         let slid_m = distance_ahead(true, plan, &from, seconds);
-        prop_assert!(fell || slid_m >= distance_ahead(false, plan, &from, seconds) - 1e-5);
+        prop_assert!(fell || slid_m >= distance_ahead(false, plan, &from, seconds) - 1e-3);
     }
 
     #[test]
