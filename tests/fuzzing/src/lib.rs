@@ -16,6 +16,7 @@ mod bundle;
 mod can;
 mod config;
 mod localize_log;
+mod map_state;
 mod onnx_file;
 mod recording;
 mod scip;
@@ -30,6 +31,7 @@ pub use config::config;
 /// frame.
 pub use hil::video::check_events as v4l2_queue;
 pub use localize_log::localize_log;
+pub use map_state::map_state;
 pub use onnx_file::onnx_file;
 pub use recording::recording;
 pub use scip::scip;
@@ -40,12 +42,13 @@ pub use snapshot::snapshot;
 pub type Check = fn(&[u8]);
 
 /// All checks, by the name of their target and corpus.
-pub const TARGETS: [(&str, Check); 11] = [
+pub const TARGETS: [(&str, Check); 12] = [
     ("buffer_wire", buffer_wire),
     ("bundle", bundle),
     ("can", can),
     ("config", config),
     ("localize_log", localize_log),
+    ("map_state", map_state),
     ("onnx_file", onnx_file),
     ("recording", recording),
     ("scip", scip),

@@ -17,7 +17,7 @@ coarse = { keyframes = 1, parallax_px = [1.0] }
 ";
 const TICKS: u64 = 3;
 
-static ROBOT: LazyLock<RobotConfig> = LazyLock::new(|| {
+pub(crate) static ROBOT: LazyLock<RobotConfig> = LazyLock::new(|| {
     let config = Config::parse(CONFIG, "robot.toml".as_ref()).expect("a configuration");
     config.robot(&Mission {
         policy: PolicyKind::Active,
@@ -34,7 +34,8 @@ pub fn snapshot(bytes: &[u8]) {
     }
 }
 
-fn run_ticks(robot: &mut Robot) {
+/// Three ticks with a frame and a scan. Every desired speed must be finite.
+pub(crate) fn run_ticks(robot: &mut Robot) {
     let camera = ROBOT.camera;
     let geometry = ScanGeometry { beams: 31, ..ScanGeometry::UTM_30LX };
     let image: Vec<u8> =

@@ -93,3 +93,8 @@ fn file_stems(folder: PathBuf) -> Vec<String> {
     names.sort();
     names
 }
+
+#[test]
+fn any_bytes_as_a_map_are_handled() {
+    run_corpus("map_state");
+}
