@@ -139,17 +139,7 @@ fn recorder(
     header: RunHeader,
     faults: &Faults,
 ) -> Result<Recorder> {
-    let options = RecorderOptions {
-        segment_ns: (config.recording.segment_s * 1e9) as u64,
-        segment_bytes: config.recording.segment_mib << 20,
-        images: config.recording.images,
-        ..RecorderOptions::simulation(&args.out)
-    };
-    let begins_with_memory = header.loaded_map.is_some();
+    let options = RecorderOptions::simulation(&args.out).configured(&config.recording);
     let disk = Box::new(FaultyDisk::new(FileSystem, faults));
-    let mut recorder = Recorder::start_on(disk, options, header)?;
-    if begins_with_memory {
-        recorder.begin_with_snapshot();
-    }
-    Ok(recorder)
+    Ok(Recorder::start_on(disk, options, header)?)
 }

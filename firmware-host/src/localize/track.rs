@@ -47,7 +47,7 @@ pub fn track(log: &Log, config: &LocalizationConfig) -> Result<Track, Localizati
             localizer.update(&line.wheel, time_ns, None)
         };
         // Robots that write logs are not carried. Without this, a place of which no scan is known would end the map.
-        localizer.go_on_by_wheels();
+        localizer.continue_by_wheels();
         online.push(estimate.t_map_base());
         anchors.push(Anchor::new(&localizer, &estimate.t_odom_base));
     }

@@ -68,6 +68,17 @@ impl RecorderOptions {
     pub fn robot(dir: impl Into<PathBuf>) -> Self {
         Self { when_full: WhenFull::Drop, sync: true, ..Self::simulation(dir) }
     }
+
+    /// With the segments and images of the configuration.
+    #[must_use]
+    pub fn configured(self, section: &RecordingSection) -> Self {
+        Self {
+            segment_ns: (section.segment_s * 1e9) as u64,
+            segment_bytes: section.segment_mib << 20,
+            images: section.images,
+            ..self
+        }
+    }
 }
 
 /// The result of a recording.
@@ -161,6 +172,8 @@ impl Recorder {
         let when_full = options.when_full;
         let segment_ns = options.segment_ns;
         let images = options.images;
+        // A run that begins in a loaded map begins with a memory: its first tick needs a snapshot too.
+        let next_snapshot_ns = run.loaded_map.is_some().then_some(0);
         let run = RunHeader { images, ..run };
         let status = Arc::new(Mutex::new(RecorderStatus::default()));
         let thread_status = Arc::clone(&status);
@@ -179,7 +192,7 @@ impl Recorder {
             when_full,
             segment_ns,
             images,
-            next_snapshot_ns: None,
+            next_snapshot_ns,
             queue: Some(sender),
             thread: Some(thread),
             next_try_ns: 0,
@@ -188,13 +201,9 @@ impl Recorder {
         })
     }
 
-    /// Also the first tick gets a snapshot: the run begins with a memory.
-    pub fn begin_with_snapshot(&mut self) {
-        self.next_snapshot_ns = Some(0);
-    }
-
     /// Whether the tick at `time_ns` should carry a snapshot from which a replay can begin. That is the first tick of every
-    /// segment but the run's first, the first tick of a run that begins with a memory, and the tick with which a recording begins again after a failure.
+    /// segment but the run's first, the first tick of a run that begins in a loaded map, and the tick with which a recording
+    /// begins again after a failure.
     #[must_use]
     pub fn wants_snapshot(&mut self, time_ns: u64) -> bool {
         if self.status().failure.is_some() {

@@ -182,19 +182,11 @@ fn named_by_time(config: &Config) -> PathBuf {
 
 fn recorder(out: &Path, config: &Config, header: RunHeader, faults: &Faults) -> Result<Recorder> {
     let options = RecorderOptions {
-        segment_ns: (config.recording.segment_s * 1e9) as u64,
-        segment_bytes: config.recording.segment_mib << 20,
         quota: Some(quota(out, config)?),
-        images: config.recording.images,
-        ..RecorderOptions::robot(out)
+        ..RecorderOptions::robot(out).configured(&config.recording)
     };
-    let begins_with_memory = header.loaded_map.is_some();
     let disk = Box::new(FaultyDisk::new(FileSystem, faults));
-    let mut recorder = Recorder::start_on(disk, options, header)?;
-    if begins_with_memory {
-        recorder.begin_with_snapshot();
-    }
-    Ok(recorder)
+    Ok(Recorder::start_on(disk, options, header)?)
 }
 
 /// The limits of the folder that holds this run and the earlier ones, which is the robot's buffer.
