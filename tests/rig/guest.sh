@@ -77,8 +77,9 @@ punctuality() {
     until_value turns /rig/status.json 'v > 100'
     # While both programs start, this slow machine may leave the motors silent for 100 ms; a request to arm is then void.
     kill -USR1 $robot
-    # At the safety loop's period, just below its priority.
-    cyclictest -m -q -p 39 -i 10000 -D $seconds -h 2000 >/tmp/cyclictest
+    # At the safety loop's period, just above its priority (40). Below it, cyclictest would wait for the safety loop's
+    # computation in every run in which the two happen to wake up together.
+    cyclictest -m -q -p 41 -i 10000 -D $seconds -h 2000 >/tmp/cyclictest
     turns=$(value turns /rig/status.json) missed=$(value skipped /rig/status.json)
     kill -TERM $robot
     wait $robot

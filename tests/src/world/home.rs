@@ -21,13 +21,18 @@ const HISTORY_NS: u64 = 500_000_000;
 pub struct Home {
     world: Arc<World>,
     state: Arc<Mutex<State>>,
+    /// Apart from the state, which the motors must not wait for while beams are cast.
+    scanner: Arc<Mutex<Scanner>>,
+}
+
+struct Scanner {
+    lidar: SimLidar,
+    scan: LaserScan,
 }
 
 struct State {
     base: SimBase,
     clock: SimClock,
-    lidar: SimLidar,
-    scan: LaserScan,
     truth: Truth,
     kinematics: Kinematics,
     wheel_radius_m: f64,
@@ -55,11 +60,10 @@ impl Home {
         let wheels = Wheels::new(options.odometry, options.seed);
         let devices = SimulatedRobot::new(Arc::clone(&world), options)?.devices();
         let scan = LaserScan::empty(devices.lidar.geometry());
+        let scanner = Scanner { lidar: devices.lidar, scan };
         let state = State {
             base: devices.base,
             clock: devices.clock,
-            lidar: devices.lidar,
-            scan,
             truth: devices.truth,
             kinematics: Kinematics { track_m: base.track_m },
             wheel_radius_m: base.wheel_radius_m,
@@ -70,7 +74,11 @@ impl Home {
             path_m: 0.0,
             history: VecDeque::new(),
         };
-        Ok(Self { world, state: Arc::new(Mutex::new(state)) })
+        Ok(Self {
+            world,
+            state: Arc::new(Mutex::new(state)),
+            scanner: Arc::new(Mutex::new(scanner)),
+        })
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -118,8 +126,8 @@ impl Home {
     /// Passes the newest scan to `read`. Its noise is drawn once per scan period of the simulated
     /// LiDAR.
     pub fn scan(&self, read: impl FnOnce(&LaserScan)) {
-        let mut state = self.state();
-        let State { lidar, scan, .. } = &mut *state;
+        let mut scanner = self.scanner.lock().unwrap_or_else(PoisonError::into_inner);
+        let Scanner { lidar, scan } = &mut *scanner;
         // A simulated scanner never fails.
         let _ = lidar.poll_scan(scan);
         read(scan);

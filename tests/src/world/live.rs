@@ -17,6 +17,10 @@ use simulator::laser::LaserModel;
 use simulator::nuisance::Nuisances;
 use simulator::odometry::OdometryNoise;
 use simulator::{OpenOptions, RobotOptions, World};
+use thread_priority::{
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
+};
 
 use super::cables::{Cable, Cables};
 use super::sensors::{HomeCamera, HomeScanner};
@@ -27,6 +31,9 @@ use crate::video::{Device, VideoFaults, serve, simulated};
 
 /// Period of the simulated motors.
 const STEP_NS: u64 = 2_000_000;
+/// SCHED_FIFO priority of the simulated motors, below the safety loop's 40: a motor controller has a processor of its own,
+/// and a busy computer must not make it silent.
+const MOTOR_PRIORITY: u8 = 30;
 /// Keeps the camera's random numbers apart from the wheels'.
 const CAMERA_STREAM: u64 = 0x6361_6d65;
 /// Interval at which an unplugged camera checks whether it is plugged in again.
@@ -225,6 +232,7 @@ fn run_motors(
     running: &AtomicBool,
     worst_late_ns: &AtomicU64,
 ) {
+    keep_on_time();
     let mut clock = MonotonicClock;
     let start_ns = monotonic_ns();
     let mut due_ns = start_ns;
@@ -237,6 +245,16 @@ fn run_motors(
         let mut wheels = wheels.lock().unwrap_or_else(PoisonError::into_inner);
         rig::step_nodes(&mut *wheels, &mut bus, due_ns, &mut outbox);
         home.advance(due_ns - start_ns, &mut wheels);
+    }
+}
+
+/// Requests real-time priority for this thread, and that the program's pages stay in memory. Users without the right to it go without.
+fn keep_on_time() {
+    let _ = rustix::mm::mlockall(rustix::mm::MlockAllFlags::CURRENT);
+    if let Ok(priority) = ThreadPriorityValue::try_from(MOTOR_PRIORITY) {
+        let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+        let priority = ThreadPriority::Crossplatform(priority);
+        let _ = set_thread_priority_and_policy(thread_native_id(), priority, fifo);
     }
 }
 

@@ -8,9 +8,11 @@ use hal::{
     Base, Camera, CameraModel, Clock, DepthMap, DriveCommand, ErrorKind, ErrorType, Frame,
     LaserScan, Lidar, Pose2, ScanGeometry, Twist2, WheelFeedback,
 };
+use rand_pcg::Pcg64Mcg;
 
 use super::{State, lock};
 use crate::floor::FloorPlan;
+use crate::laser::LaserModel;
 
 type Shared = Arc<Mutex<State>>;
 
@@ -67,15 +69,19 @@ impl Camera for SimCamera {
     }
 }
 
-/// The laser scanner. It rotates all the time; a poll casts the beams of the last complete scan.
+/// The laser scanner. It rotates all the time; a poll casts the beams of the last complete scan, while the robot's other
+/// devices continue.
 pub struct SimLidar {
     shared: Shared,
-    geometry: ScanGeometry,
+    model: LaserModel,
+    rng: Pcg64Mcg,
+    /// Number of the last scan that was returned.
+    returned: Option<u64>,
 }
 
 impl SimLidar {
-    pub(super) fn new(shared: Shared, geometry: ScanGeometry) -> Self {
-        Self { shared, geometry }
+    pub(super) fn new(shared: Shared, model: LaserModel, rng: Pcg64Mcg) -> Self {
+        Self { shared, model, rng, returned: None }
     }
 }
 
@@ -85,17 +91,21 @@ impl ErrorType for SimLidar {
 
 impl Lidar for SimLidar {
     fn geometry(&self) -> ScanGeometry {
-        self.geometry
+        self.model.geometry
     }
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Infallible> {
-        let mut state = lock(&self.shared);
-        let period_ns = self.geometry.period_ns.max(1);
-        let newest = state.now_ns / period_ns;
-        if state.scan.replace(newest) == Some(newest) {
-            return Ok(false);
-        }
-        state.take_scan(newest * period_ns, scan);
+        let period_ns = self.model.geometry.period_ns.max(1);
+        let motion = {
+            let state = lock(&self.shared);
+            let newest = state.now_ns / period_ns;
+            if self.returned.replace(newest) == Some(newest) {
+                return Ok(false);
+            }
+            state.motion_of_scan(newest * period_ns, period_ns)
+        };
+        // Not under the lock: the motors must not wait for the beams.
+        motion.scan(&self.model, &mut self.rng, scan);
         Ok(true)
     }
 }

@@ -193,11 +193,8 @@ pub(crate) struct State {
     touched_in_truth: bool,
     last_counter: Option<u32>,
     walkers: Vec<Walker>,
-    laser_rng: Pcg64Mcg,
     camera_rng: Pcg64Mcg,
     frame_ns: Option<u64>,
-    /// Number of the last scan that was returned.
-    scan: Option<u64>,
     feedback_ns: Option<u64>,
     sequence: u32,
     depth: DepthMap,
@@ -231,10 +228,8 @@ impl SimulatedRobot {
             touched_in_truth: false,
             last_counter: None,
             walkers,
-            laser_rng: stream_rng(LASER_STREAM, options.seed),
             camera_rng: stream_rng(CAMERA_STREAM, options.seed),
             frame_ns: None,
-            scan: None,
             feedback_ns: None,
             sequence: 0,
             depth: DepthMap::none(options.camera.width, options.camera.height),
@@ -253,16 +248,17 @@ impl SimulatedRobot {
         state.trail = Trail::new(now_ns, pose);
     }
 
-    /// Device handles that share this robot.
+    /// Device handles that share this robot. The noise of each scanner begins with the robot's seed.
     #[must_use]
     pub fn devices(&self) -> Devices {
-        let (model, geometry) = {
+        let (camera, laser, rng) = {
             let state = lock(&self.shared);
-            (state.options.camera, state.options.laser.geometry)
+            let rng = stream_rng(LASER_STREAM, state.options.seed);
+            (state.options.camera, state.options.laser.clone(), rng)
         };
         Devices {
-            camera: SimCamera::new(self.shared.clone(), model),
-            lidar: SimLidar::new(self.shared.clone(), geometry),
+            camera: SimCamera::new(self.shared.clone(), camera),
+            lidar: SimLidar::new(self.shared.clone(), laser, rng),
             base: SimBase::new(self.shared.clone()),
             clock: SimClock::new(self.shared.clone()),
             truth: Truth::new(self.shared.clone()),
@@ -326,25 +322,16 @@ impl State {
         self.sequence = self.sequence.wrapping_add(1);
     }
 
-    /// The scan that ended at `end_ns`.
-    fn take_scan(&mut self, end_ns: u64, scan: &mut LaserScan) {
-        let people = self.people(end_ns.saturating_sub(self.options.laser.geometry.period_ns / 2));
-        let geometry = self.options.laser.geometry;
-        let start_ns = end_ns as i64 - geometry.period_ns as i64;
-        let t_world_laser = |beam| {
-            let time_ns = start_ns + laser::beam_after_ns(&geometry, beam) as i64;
-            self.floor.raise(&self.trail.at(time_ns)) * self.options.t_base_laser
-        };
-        laser::scan(
-            self.world.renderer(),
-            t_world_laser,
-            &people,
-            &self.options.laser,
-            &mut self.laser_rng,
-            // A scan that began before time 0 gets the time 0.
-            u64::try_from(start_ns).unwrap_or(0),
-            scan,
-        );
+    /// What moved during the scan that ended at `end_ns`.
+    fn motion_of_scan(&self, end_ns: u64, period_ns: u64) -> ScanMotion {
+        ScanMotion {
+            world: Arc::clone(&self.world),
+            people: self.people(end_ns.saturating_sub(period_ns / 2)),
+            trail: self.trail.clone(),
+            floor: self.floor,
+            t_base_laser: self.options.t_base_laser,
+            start_ns: end_ns as i64 - period_ns as i64,
+        }
     }
 
     fn feedback(&mut self) -> WheelFeedback {
@@ -355,6 +342,36 @@ impl State {
             twist: self.twist,
             contact,
         }
+    }
+}
+
+/// The world around the scanner during one scan.
+struct ScanMotion {
+    world: Arc<World>,
+    people: Vec<Person>,
+    trail: Trail,
+    floor: Unevenness,
+    t_base_laser: Pose3,
+    /// Start of the scan. The first one may have begun before time 0.
+    start_ns: i64,
+}
+
+impl ScanMotion {
+    fn scan(&self, model: &LaserModel, rng: &mut Pcg64Mcg, scan: &mut LaserScan) {
+        let t_world_laser = |beam| {
+            let time_ns = self.start_ns + laser::beam_after_ns(&model.geometry, beam) as i64;
+            self.floor.raise(&self.trail.at(time_ns)) * self.t_base_laser
+        };
+        laser::scan(
+            self.world.renderer(),
+            t_world_laser,
+            &self.people,
+            model,
+            rng,
+            // A scan that began before time 0 gets the time 0.
+            u64::try_from(self.start_ns).unwrap_or(0),
+            scan,
+        );
     }
 }
 

@@ -9,7 +9,7 @@ use hal::Pose2;
 const KEPT_NS: u64 = 1_000_000_000;
 
 /// The true poses of the last second, at the ends of the simulation's steps.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Trail {
     /// Time of the end of a step, and `t_world_base` then; never empty.
     ends: VecDeque<(u64, Pose2)>,
