@@ -46,7 +46,8 @@ impl Home {
     }
 
     fn explore(&self, name: &str, frames: &str, more: &[&str]) -> Output {
-        let (config, out) = (self.text("robot.toml"), self.text(name));
+        let config = self.text("robot.toml");
+        let out = self.text(name);
         let mut args = vec!["explore", "--scene", SCENE, "--seed", "5", "--odometry", "perfect"];
         args.extend(["--frames", frames, "--config", &config, "--out", &out]);
         args.extend(more);
@@ -104,7 +105,8 @@ fn the_map_of_a_recording_is_the_one_that_the_run_saved() {
     let home = Home::new();
     let map = home.text("home.map");
     home.explored("run", "40", &["--map", &map]);
-    let (run, copy) = (home.text("run"), home.text("copy.map"));
+    let run = home.text("run");
+    let copy = home.text("copy.map");
     let saved = firmware_host(&["map", "save", &run, "--out", &copy]);
     assert!(saved.status.success(), "{}", text(&saved.stderr));
     let state = |path: &str| MapFile::read(Path::new(path)).unwrap().state;

@@ -28,7 +28,7 @@ pub const MAP_FILE_VERSION: u32 = 1;
 
 const DIGEST_BYTES: usize = 32;
 
-/// Largest map state: a grid of 4096 x 4096 cells that is being drawn anew has 185 MiB, 4,096 submaps have 40 MiB.
+/// Largest map state: a grid of 4096 x 4096 cells that is being recomposed has 185 MiB, 4,096 submaps have 40 MiB.
 const MOST_STATE_BYTES: u64 = 512 << 20;
 
 /// Why a map file cannot be used.

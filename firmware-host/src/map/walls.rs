@@ -123,8 +123,8 @@ fn boundary(labels: &Labels, group: &[Corner]) -> BTreeMap<Corner, Vec<Corner>> 
     edges
 }
 
-/// Takes the edge that goes on from a corner. Where two cells of the group touch at a corner only, it stays at the same cell,
-/// which is to the left.
+/// Takes the edge that continues the outline at a corner. Where two cells of the group touch only at that corner, the outline
+/// stays at the same cell, which is to the left.
 fn take_edge(
     edges: &mut BTreeMap<Corner, Vec<Corner>>,
     from: Corner,

@@ -87,7 +87,7 @@ hal::settings! {
         /// Goals this near to one that was given up are not chosen either.
         blacklist_radius_m: f64 = 0.5, in 0.0..=10.0, unit "m";
         /// Whether the robot drives back to where the run began, and stands there, when all floor that it can reach has been seen.
-        /// Without it the robot goes on observing known places.
+        /// Without it the robot continues to observe known places.
         return_to_start: bool = false;
         /// The path to the goal is checked against the map once in this many ticks.
         replan_ticks: u64 = 10, in 1..=1000, unit "ticks";

@@ -1,4 +1,4 @@
-//! A drive to one place, at the end of which the robot stands: a task of the operator, or the way back.
+//! A drive to one place, at the end of which the robot stands: a task of the operator, or the return to the start.
 
 use hal::{Pose2, wrap_angle};
 use serde::{Deserialize, Serialize};
@@ -73,7 +73,7 @@ impl Errand {
         }
     }
 
-    /// The way back to a pose in `map`.
+    /// A return to a pose in `map`.
     pub(super) fn back_to(pose: &Pose2) -> Self {
         let yaw_rad = Some(pose.yaw_rad);
         Self { why: GoalReason::Return, yaw_rad, ..Self::to_place([pose.x_m, pose.y_m]) }

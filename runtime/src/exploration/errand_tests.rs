@@ -1,4 +1,4 @@
-//! Tasks, the way back, and the end of exploration, in a round hall that is known from the beginning.
+//! Tasks, the return to the start, and the end of exploration, in a round hall that is known from the beginning.
 
 use hal::{LaserScan, Pose2, Range, ScanGeometry, wrap_angle};
 use rand::SeedableRng;
@@ -116,7 +116,8 @@ fn a_robot_that_shall_return_stands_at_the_end_where_and_as_it_began() {
 fn a_task_is_driven_to_its_place_and_the_robot_stands_there_until_it_may_explore_again() {
     let mut drive = Drive::new(ExplorationConfig::default());
     drive.steps(20);
-    let (x_m, y_m) = (-0.6, 0.4);
+    let x_m = -0.6;
+    let y_m = 0.4;
     drive.begin(Task::GoTo { x_m, y_m });
     drive.steps(600);
     let chosen = Event::GoalChosen { x_m, y_m, why: GoalReason::Task };

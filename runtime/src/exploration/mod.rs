@@ -14,7 +14,7 @@
 //! | `goal.rs` | is the robot making progress towards its goal? |
 //! | `blacklist.rs` | which places were given up recently? |
 //! | `ending.rs` | has all floor that can be reached been seen? |
-//! | `errand.rs` | what is the next step on the way to a place where the robot shall stand? |
+//! | `errand.rs` | what is the next step towards a place where the robot shall stand? |
 //! | `blind.rs` | what is the next step of a policy without a map? |
 
 mod blacklist;

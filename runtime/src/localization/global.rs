@@ -123,8 +123,8 @@ impl GlobalMap {
     }
 
     fn drive(&mut self, last: &Pose2, pose: &Pose2, covariance: &Matrix3<f64>) {
-        let way = last.inverse().compose(pose);
-        let length_m = way.x_m.hypot(way.y_m);
+        let t_last_new = last.inverse().compose(pose);
+        let length_m = t_last_new.x_m.hypot(t_last_new.y_m);
         let drift_m = DRIFT_M + DRIFT_PER_METRE * length_m;
         let drift_rad = DRIFT_RAD + DRIFT_RAD_PER_METRE * length_m;
         let rotation = Rotation3::from_axis_angle(&Vector3::z_axis(), -last.yaw_rad);
@@ -133,9 +133,9 @@ impl GlobalMap {
             + Matrix3::from_diagonal(&Vector3::from(variances));
         let information = noise.try_inverse().unwrap_or_else(Matrix3::zeros);
         let finished = self.current() as u32;
-        self.graph.drive(way, information);
+        self.graph.drive(t_last_new, information);
         if let Some(before) = self.published.last() {
-            self.published.push(before.compose(&way));
+            self.published.push(before.compose(&t_last_new));
         }
         self.queue.push_back(finished);
     }
@@ -172,7 +172,7 @@ impl GlobalMap {
     }
 
     /// A lost robot is where its wheels say, at `pose` in `odom`. Begins a submap there.
-    pub(crate) fn go_on<'a>(
+    pub(crate) fn continue_at<'a>(
         &mut self,
         pose: &Pose2,
         keyframes: impl Iterator<Item = &'a Keyframe>,
@@ -180,9 +180,9 @@ impl GlobalMap {
         let (Some(last), Some(before)) = (self.submaps.all().last(), self.published.last()) else {
             return;
         };
-        let way = last.t_odom.inverse().compose(pose);
-        let in_map = before.compose(&way);
-        self.graph.drive(way, precision(WHEELS_M, WHEELS_RAD));
+        let t_last_new = last.t_odom.inverse().compose(pose);
+        let in_map = before.compose(&t_last_new);
+        self.graph.drive(t_last_new, precision(WHEELS_M, WHEELS_RAD));
         self.begin_after_gap(pose, in_map, keyframes);
     }
 
@@ -201,7 +201,7 @@ impl GlobalMap {
         self.revision += 1;
     }
 
-    /// Goes on improving the poses of the last closures, for the work of one update. False when there is nothing to do.
+    /// Continues to improve the poses after the last closures, with the work of one update. False when there is nothing to do.
     pub(crate) fn settle_poses(&mut self) -> bool {
         if let Some(solving) = self.solving {
             self.improve(solving);

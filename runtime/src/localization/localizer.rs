@@ -134,7 +134,7 @@ impl Localizer {
         let lost = self.doubt.observe(&tracked, wheel);
         let pose = self.local.pose();
         match self.whereabouts {
-            // It is elsewhere once more: what it has seen since it was lost says nothing about now.
+            // It was moved once more: what it has seen since it was lost was seen from another place.
             Whereabouts::Lost(why) if lost.is_some() => self.lose(why),
             Whereabouts::Lost(_) if !self.doubt.is_doubtful() => {
                 self.relocalizer.offer(self.local.stretches(), &pose);
@@ -177,7 +177,7 @@ impl Localizer {
     pub fn lose(&mut self, why: LostReason) {
         self.doubt = Doubt::default();
         self.slip = Slip::default();
-        self.local.begin_again();
+        self.local.forget_surroundings();
         if why == LostReason::Loaded {
             self.local.forget_wheel_odometry();
         }
@@ -188,11 +188,11 @@ impl Localizer {
         }
     }
 
-    /// Ends a search without success: takes the word of the wheels for where the robot is. This is for logs of robots that were
-    /// not carried. A robot that may have been carried would draw one place over another.
-    pub fn go_on_by_wheels(&mut self) {
+    /// Ends a search without success: the wheels say where the robot is. This is for logs of robots that were not carried. A robot
+    /// that may have been carried would draw one place over another.
+    pub fn continue_by_wheels(&mut self) {
         if self.whereabouts.lost().is_some() {
-            self.global.go_on(&self.local.pose(), self.local.keyframes());
+            self.global.continue_at(&self.local.pose(), self.local.keyframes());
             self.whereabouts = Whereabouts::Localized;
         }
     }

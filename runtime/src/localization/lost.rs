@@ -38,7 +38,7 @@ pub enum Whereabouts {
     Localized,
     /// The newest scan does not fit. Nothing should be entered into a map until one does.
     Doubtful,
-    /// The pose in `map` is not known, and `t_map_odom` is the last one that was. The pose in `odom` goes on.
+    /// The pose in `map` is not known, and `t_map_odom` is the last one that was. The pose in `odom` continues.
     Lost(LostReason),
 }
 

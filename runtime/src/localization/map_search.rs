@@ -137,7 +137,7 @@ impl MapSearch {
         self.made = None;
     }
 
-    /// Goes on with a query. Returns the operations that it took.
+    /// Continues a query. Returns the number of operations that it took.
     pub(crate) fn step(&mut self, query: &mut MapQuery, map: &KnownMap<'_>) -> u64 {
         let Some(squares) = Squares::of(map) else {
             query.is_done = true;

@@ -11,7 +11,7 @@
 //! | surfel | the same piece of surface merged from several scans |
 //! | keyframe | a scan that is kept, with the robot's pose |
 //! | prior | what the wheels say about the pose before the scan is matched |
-//! | lost | the pose in `map` is not known; that in `odom` goes on |
+//! | lost | the pose in `map` is not known; that in `odom` continues |
 
 mod closing;
 mod config;

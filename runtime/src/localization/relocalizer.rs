@@ -98,7 +98,7 @@ impl Relocalizer {
         }
     }
 
-    /// Goes on for the work of one update. Returns `t_map_odom` when the robot is found.
+    /// Continues the search with the work of one update. Returns `t_map_odom` when the robot is found.
     pub(crate) fn work(&mut self, map: &KnownMap<'_>) -> Option<Pose2> {
         let mut operations = 0;
         while operations < OPERATIONS {

@@ -34,7 +34,8 @@ impl Sight {
         let mut ranges = [f32::INFINITY; SECTORS];
         let [x, y] = [t_base_laser.x_m, t_base_laser.y_m].map(|value| value as f32);
         for stretch in stretches {
-            let (dx, dy) = (stretch.x - x, stretch.y - y);
+            let dx = stretch.x - x;
+            let dy = stretch.y - y;
             let range_m = dx.hypot(dy);
             let middle = dy.atan2(dx);
             let half = HALF_STRETCH_M.atan2(range_m);
@@ -54,7 +55,8 @@ impl Sight {
         let mut seen = 0_u32;
         let mut through = 0_u32;
         for surface in surfaces.stretches().filter(Stretch::has_normal) {
-            let (dx, dy) = (surface.x - x, surface.y - y);
+            let dx = surface.x - x;
+            let dy = surface.y - y;
             let range_m = dx.hypot(dy);
             let incidence = -(surface.nx * dx + surface.ny * dy);
             let is_in_range = (MIN_RANGE_M..MAX_RANGE_M).contains(&range_m);

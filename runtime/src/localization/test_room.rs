@@ -196,7 +196,7 @@ pub(crate) fn flat() -> Vec<Wall> {
     walls
 }
 
-/// The way through all rooms of the flat, from its first point.
+/// A tour of all rooms of the flat, from its first point.
 pub(crate) const FLAT_TOUR: [[f64; 2]; 18] = [
     [0.8, 3.6],
     [1.95, 3.6],
@@ -227,7 +227,8 @@ impl TestRobot {
 
     /// The next step to a place: forward and yaw. `None` when it is there.
     pub(crate) fn step_to(&self, [x_m, y_m]: [f64; 2]) -> Option<(f64, f64)> {
-        let (dx, dy) = (x_m - self.truth.x_m, y_m - self.truth.y_m);
+        let dx = x_m - self.truth.x_m;
+        let dy = y_m - self.truth.y_m;
         let off_rad = hal::wrap_angle(dy.atan2(dx) - self.truth.yaw_rad);
         let distance_m = dx.hypot(dy);
         if distance_m < 0.01 {

@@ -47,7 +47,7 @@ hal::settings! {
         mark_range_m: f32 = 2.0, in 0.1..=20.0, unit "m", source "paper's code";
         /// The camera clears cells up to this distance in the plane.
         clear_range_m: f32 = 2.0, in 0.1..=20.0, unit "m", source "paper's code";
-        /// The camera marks a drop, such as stairs down, where a ray meets the floor's plane up to this distance and goes on
+        /// The camera marks a drop, such as stairs down, where a ray meets the floor's plane up to this distance and continues
         /// below it; 0, the default, marks none: errors of coarse depth make false drops. The default camera sees the floor from
         /// 2.7 m on.
         drop_range_m: f32 = 0.0, in 0.0..=20.0, unit "m";

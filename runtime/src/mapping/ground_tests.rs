@@ -27,7 +27,7 @@ impl Shaft {
         (self.x_m[0]..self.x_m[1]).contains(&x_m) && (self.y_m[0]..self.y_m[1]).contains(&y_m)
     }
 
-    /// How far a ray that enters the shaft at `at` goes on inside, in lengths of its direction.
+    /// How far a ray that enters the shaft at `at` continues inside, in lengths of its direction.
     fn inside(&self, at: [f64; 2], direction: [f64; 3]) -> f64 {
         let sides = [self.x_m, self.y_m];
         let to_walls = [0, 1].map(|axis| {
@@ -103,7 +103,7 @@ fn stairs_down_are_occupied_from_their_edge_on_and_the_floor_around_them_is_not(
         let beyond = x_m - STAIRS.x_m[0] > -0.03 && y_m.abs() < STAIRS.y_m[1] + 0.03;
         assert!(beyond, "floor at {x_m} {y_m} is a drop");
     }
-    // A robot of 0.16 m radius finds no way between the marks along the edge.
+    // A robot of 0.16 m radius finds no path between the marks along the edge.
     for step in -10..=10 {
         let y_m = f64::from(step) * 0.05;
         let near = drops.iter().any(|drop| (drop[0] - 3.05).hypot(drop[1] - y_m) < 0.15);

@@ -17,7 +17,7 @@ use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 /// A correction moves points of the map: `new = correction * old`.
 pub type Corrections = Vec<Pose2>;
 
-/// A recomposition of the map that is under way.
+/// A recomposition of the map that has begun.
 #[derive(Debug, Clone, Default)]
 pub struct Recomposition {
     corrections: Corrections,

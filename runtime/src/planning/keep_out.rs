@@ -127,7 +127,8 @@ mod tests {
     #[test]
     fn a_line_closes_a_path_of_cells_without_gaps() {
         let closed = closed(&KeepOut::new(vec![vec![[-1.5, -1.2], [1.4, 1.3]]]));
-        let (first, last) = (8, 33);
+        let first = 8;
+        let last = 33;
         for row in first..last {
             let shared = closed[row].iter().zip(&closed[row + 1]).any(|(a, b)| *a && *b);
             assert!(row + 1 == last || shared, "a robot could pass at row {row}");

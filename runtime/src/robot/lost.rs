@@ -69,7 +69,7 @@ impl LostMotion {
 }
 
 impl Robot {
-    /// Nothing that was remembered around the robot holds where it is now.
+    /// What was remembered of the surroundings does not describe the place where the robot is now.
     pub(super) fn note_lost(&mut self, why: LostReason, events: &mut Vec<Event>) {
         events.push(Event::Lost { why });
         self.coarse.forget();
@@ -77,7 +77,7 @@ impl Robot {
         self.lost_motion.reset();
     }
 
-    /// The map stays, the robot's place in it is another: the path is planned anew.
+    /// The map stays as it is, but the robot is at another place in it: the next tick plans another path.
     pub(super) fn note_found(&mut self, before: &Pose2, events: &mut Vec<Event>) {
         events.push(Event::Found { shift_m: self.poses.t_map_base().distance_m(before) });
         self.map_correction.jump(&self.location, &mut self.map, self.poses.t_map_odom);

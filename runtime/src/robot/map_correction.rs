@@ -62,7 +62,7 @@ impl MapCorrection {
     }
 
     /// The robot was found: its cells belong to a new submap from now on, whose place says where the robot is. The map stays as it
-    /// is; a correction that was under way begins again.
+    /// is; a correction that had begun starts again.
     pub(super) fn jump(&mut self, location: &Location, map: &mut OccupancyGrid, to: Pose2) {
         self.work = None;
         let before = self.in_force;

@@ -24,14 +24,14 @@ pub const MAP_STATE_VERSION: u32 = 1;
 pub enum MapStateError {
     /// Another version of this program wrote it.
     #[error(
-        "the map has layout {found}, this program knows {MAP_STATE_VERSION}: use the version that saved it, or map the home anew"
+        "the map has layout {found}, this program knows {MAP_STATE_VERSION}: use the version that saved it, or map the home again"
     )]
     Version {
         /// Layout of the map.
         found: u32,
     },
     /// The bytes are not those of a map.
-    #[error("the map is damaged: {0}; map the home anew, or use a copy")]
+    #[error("the map is damaged: {0}; map the home again, or use a copy")]
     Damaged(String),
     /// The map belongs to a robot with another configuration.
     #[error(

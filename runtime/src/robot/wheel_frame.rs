@@ -1,4 +1,4 @@
-//! Wheel odometry that goes on where that of a saved map ended.
+//! Wheel odometry that continues where that of a saved map ended.
 //!
 //! The base counts from zero again after every start, and the poses of a loaded map were made with an earlier count. Localization
 //! therefore gets this run's odometry in the frame of the earlier one: the robot stands still between the two runs.

@@ -570,7 +570,7 @@ mod tests {
         robot.step(Some(Request::Arm));
         assert!(!robot.drives_after(20), "it is still low");
         robot.control.base.power.voltage_v = Some(25.0);
-        assert!(!robot.drives_after(200), "charged, and nobody has asked");
+        assert!(!robot.drives_after(200), "charged, and no person has asked");
         robot.step(Some(Request::ClearFault));
         robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
@@ -597,10 +597,10 @@ mod tests {
         let pressed = Orders { emergency_stop: true, ..Orders::default() };
         robot.control.step(robot.now_ns, &pressed);
         assert_eq!(robot.control.base.arming, 0, "and the motors are let go");
-        assert!(!robot.drives_after(20), "released, and nobody has asked again");
+        assert!(!robot.drives_after(20), "released, and no person has asked again");
         robot.step(Some(Request::Arm));
         robot.step(Some(Request::ClearFault));
-        assert!(!robot.drives_after(20), "cleared, and nobody has asked since");
+        assert!(!robot.drives_after(20), "cleared, and no person has asked since");
         robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
     }

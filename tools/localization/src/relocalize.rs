@@ -1,6 +1,6 @@
 //! Trials of finding a lost robot, in simulated homes: `localization --relocalize`.
 //!
-//! In each home a robot first maps its way through all reachable floor. Then it is put at random places and restarted in that
+//! In each home a robot first maps all reachable floor. Then it is put at random places and restarted in that
 //! map; it rotates on the spot as the robot does. A place that it accepts is compared with the truth.
 
 use std::sync::Arc;
@@ -165,14 +165,14 @@ pub fn map(home: &str) -> Result<MappedHome> {
         let estimate = ghost.update(&mut localizer)?;
         if estimate.whereabouts.lost().is_some() {
             lost += 1;
-            localizer.go_on_by_wheels();
+            localizer.continue_by_wheels();
         }
     }
     localizer.settle();
     let end = t_map_world.compose(&ghost.truth);
     let error_m = localizer.estimate().t_map_base().distance_m(&end);
     eprintln!(
-        "{home}: {} submaps, {} closures, end {error_m:.3} m off, lost {lost} times on the way",
+        "{home}: {} submaps, {} closures, end {error_m:.3} m off, lost {lost} times meanwhile",
         localizer.submap() + 1,
         localizer.closures()
     );

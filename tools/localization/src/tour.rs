@@ -1,15 +1,15 @@
-//! A way through all reachable floor of a simulated home.
+//! A tour of all reachable floor of a simulated home.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use hal::{Pose2, wrap_angle};
 use simulator::floor::FloorPlan;
 
-/// Distance between nodes of the way, metres.
+/// Distance between nodes of the tour, metres.
 const NODE_M: f64 = 0.25;
 /// Distance to furniture, metres.
 const CLEARANCE_M: f64 = 0.22;
-/// Floor this near to the way has been visited, metres.
+/// Floor this near to the tour has been visited, metres.
 const VISITED_M: f64 = 1.2;
 /// Motion between two scans.
 const STEP_M: f64 = 0.06;
@@ -90,7 +90,8 @@ fn path_to_nearest(nodes: &BTreeSet<Node>, here: Node, open: &BTreeSet<Node>) ->
 /// Rotates towards a place and drives there.
 fn drive(poses: &mut Vec<Pose2>, [x_m, y_m]: [f64; 2]) {
     while let Some(last) = poses.last().copied() {
-        let (dx, dy) = (x_m - last.x_m, y_m - last.y_m);
+        let dx = x_m - last.x_m;
+        let dy = y_m - last.y_m;
         let distance_m = dx.hypot(dy);
         if distance_m < 1e-6 {
             return;

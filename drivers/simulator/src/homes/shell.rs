@@ -104,7 +104,7 @@ fn flat(corners: [[f32; 3]; 4], appearance: Appearance) -> [[f32; 2]; 4] {
     corners.map(|c| [c[0] / appearance.tile_m, c[1] / appearance.tile_m])
 }
 
-/// The quads of a horizontal face that looks up.
+/// The quads of a horizontal face whose normal points up.
 fn horizontal(rect: Rect, z: f32, opening: Option<Rect>) -> Vec<[[f32; 3]; 4]> {
     let edges = |axis: usize| opening.into_iter().flat_map(move |o| [o.min[axis], o.max[axis]]);
     let xs = cuts(rect.min[0], rect.max[0], edges(0));
