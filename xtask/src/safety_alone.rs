@@ -21,6 +21,7 @@ edition = "2024"
 hal = { path = "HAL", features = ["serde"] }
 serde = { version = "1.0", features = ["derive"] }
 bytemuck = "1"
+nalgebra = { version = "0.35", default-features = false, features = ["libm", "alloc"] }
 postcard = { version = "1.1", default-features = false, features = ["use-std"] }
 thiserror = "2"
 [dev-dependencies]
@@ -31,7 +32,7 @@ debug = false
 opt-level = 3
 "#;
 
-/// The crate's `lib.rs`. `event.rs` uses one type of the perception module, which is replaced here.
+/// The crate's `lib.rs`. `event.rs` uses types of perception and localization, which are replaced here.
 const LIBRARY: &str = "
 pub mod event;
 pub mod safety;
@@ -39,6 +40,12 @@ pub mod snapshot;
 pub mod perception {
     #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
     pub enum NoDepth {}
+}
+pub mod localization {
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+    pub enum LostReason {}
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+    pub enum WheelError {}
 }
 ";
 
@@ -69,4 +76,35 @@ fn copy_safety(from: &Path, to: &Path) -> Result<()> {
         fs::write(to.join(path.file_name().unwrap_or_default()), text)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What follows `before` at the beginnings of lines, up to the next `::`.
+    fn used(text: &str, before: &str) -> Vec<String> {
+        let lines = text.lines().filter_map(|line| line.trim_start().strip_prefix(before));
+        lines.map(|line| line.split("::").next().unwrap_or_default().to_owned()).collect()
+    }
+
+    #[test]
+    fn the_crate_has_every_module_and_dependency_that_the_safety_plane_uses() {
+        let source = paths::root().join("runtime/src");
+        let mut files = vec![source.join("event.rs"), source.join("snapshot.rs")];
+        for entry in fs::read_dir(source.join("safety")).unwrap() {
+            files.push(entry.unwrap().path());
+        }
+        for file in files {
+            let text = fs::read_to_string(&file).unwrap();
+            for module in used(&text, "use crate::") {
+                assert!(LIBRARY.contains(&format!("mod {module}")), "{}: {module}", file.display());
+            }
+            for package in used(&text, "use ") {
+                let is_own = ["crate", "super", "self", "std"].contains(&package.as_str());
+                let named = MANIFEST.contains(&format!("\n{package} = "));
+                assert!(is_own || named, "{}: {package}", file.display());
+            }
+        }
+    }
 }

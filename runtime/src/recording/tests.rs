@@ -11,8 +11,9 @@ use proptest::prelude::*;
 use super::*;
 use crate::event::{BackOffEnd, Event, GoalReason, SafetyEvent};
 use crate::localization::LostReason;
+use crate::safety::SentCommand;
 use crate::task::Task;
-use crate::tick::{Command, Decision, SafetyReport, SentCommand};
+use crate::tick::{Command, Decision, SafetyReport};
 
 pub(super) fn run_header() -> RunHeader {
     RunHeader {

@@ -26,8 +26,9 @@ use crate::perception::{
 };
 use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
+use crate::safety::SentCommand;
 use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
-use crate::tick::{Decision, SentCommand, TickInput};
+use crate::tick::{Decision, TickInput};
 use camera_time::CameraTime;
 use location::Location;
 use lost::LostMotion;

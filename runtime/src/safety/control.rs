@@ -11,9 +11,9 @@
 use hal::{Base, DriveCommand, Error, ErrorKind, LaserScan, Lidar, StopCause, WheelFeedback};
 
 use super::power::PowerWatch;
+use super::sent::SentCommand;
 use super::{Plan, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyPlane, SafetyState};
 use crate::event::{FaultReason, SafetyEvent};
-use crate::tick::SentCommand;
 
 /// A request to arm that could not be followed for this long is void: the person who gave it may be
 /// at work on the robot by then. Motors, scanner and first scans need about 2 s.
@@ -380,6 +380,7 @@ mod tests {
         /// The error that the feedback returns instead of a measurement.
         unheard: Option<ErrorKind>,
         power: PowerReport,
+        demands: Option<StopCause>,
     }
 
     impl ErrorType for Motors {
@@ -409,6 +410,10 @@ mod tests {
 
         fn power(&self) -> PowerReport {
             self.power
+        }
+
+        fn stop_cause(&self) -> Option<StopCause> {
+            self.demands
         }
 
         fn stop(&mut self) -> Result<(), Broken> {
@@ -504,7 +509,7 @@ mod tests {
         assert_eq!(
             robot.control.base.moved.iter().position(|twist| *twist == FORWARD),
             Some(13),
-            "three turns of arming"
+            "three steps of arming"
         );
     }
 
@@ -551,6 +556,21 @@ mod tests {
         robot.control.base.broken = None;
         robot.step(Some(Request::Arm));
         assert!(!robot.drives_after(20), "arming alone does not clear a fault");
+        robot.step(Some(Request::ClearFault));
+        robot.step(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+    }
+
+    #[test]
+    fn a_silent_safety_board_is_a_fault_of_its_own_and_needs_a_person() {
+        let mut robot = Robot::new();
+        robot.step(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+        robot.control.base.demands = Some(StopCause::SafetyBoardSilent);
+        let faulted = SafetyEvent::Faulted { why: FaultReason::SafetyBoardSilent };
+        assert_eq!(robot.step(None).event, Some(faulted));
+        robot.control.base.demands = None;
+        assert!(!robot.drives_after(200), "the board is back, and no person has asked");
         robot.step(Some(Request::ClearFault));
         robot.step(Some(Request::Arm));
         assert!(robot.drives_after(10));
@@ -653,6 +673,26 @@ mod tests {
         robot.control.base.broken = None;
         robot.control.lidar.error = None;
         assert!(!robot.drives_after(20));
+    }
+
+    #[test]
+    fn a_board_or_motors_that_are_lost_while_the_scanner_is_awaited_end_the_request_and_name_the_reason()
+     {
+        for (cause, why) in [
+            (StopCause::SafetyBoardSilent, FaultReason::SafetyBoardSilent),
+            (StopCause::MotorsLost, FaultReason::BaseSilent),
+        ] {
+            let mut robot = Robot::new();
+            robot.control.lidar.error = Some(ErrorKind::Timeout);
+            let first = robot.step(Some(Request::Arm)).event;
+            assert!(!matches!(first, Some(SafetyEvent::ArmingLapsed { .. })), "{first:?}");
+            robot.drives_after(10);
+            robot.control.base.demands = Some(cause);
+            assert_eq!(robot.step(None).event, Some(SafetyEvent::ArmingLapsed { why }));
+            robot.control.base.demands = None;
+            robot.control.lidar.error = None;
+            assert!(!robot.drives_after(20), "{cause:?}");
+        }
     }
 
     #[test]

@@ -64,6 +64,7 @@ mod plane;
 mod power;
 mod rear;
 mod restart;
+mod sent;
 mod state;
 mod surroundings;
 mod witness;
@@ -73,6 +74,7 @@ pub use control::{Orders, SafetyLoop, SafetyStep};
 pub use footprint::Footprint;
 pub use plane::SafetyPlane;
 pub use restart::{CREEP_MPS, CREEP_NS, CREEP_RADPS, Restart, STOPS, Stop};
+pub use sent::SentCommand;
 pub use state::{BackOff, Escape, Plan, Request, SafetyInput, SafetyOutput, SafetyState};
 pub use surroundings::{Obstacle, ScanHealth, Surroundings};
 

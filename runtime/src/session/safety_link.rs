@@ -10,8 +10,9 @@ use triple_buffer::{Input, Output, triple_buffer};
 use super::scan_history::{ScanHistory, ScanWriter, scan_history};
 use super::wheel_history::WheelHistory;
 use crate::event::SafetyEvent;
+use crate::safety::SentCommand;
 use crate::safety::{Orders, Plan, SafetyLoop, SafetyStep};
-use crate::tick::{SafetyReport, SentCommand};
+use crate::tick::SafetyReport;
 
 /// Wheel feedback of 0.6 s at 100 Hz: six ticks of 0.1 s.
 const WHEELS: usize = 64;

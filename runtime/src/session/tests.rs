@@ -15,8 +15,9 @@ use crate::mapping::MapConfig;
 use crate::perception::CoarseConfig;
 use crate::planning::{FollowerConfig, PlanConfig};
 use crate::robot::{DepthSource, RobotConfig, Stage};
+use crate::safety::SentCommand;
 use crate::safety::{Request, SafetyConfig, SafetyLoop};
-use crate::tick::{Command, SentCommand};
+use crate::tick::Command;
 
 const TICK_NS: u64 = 100_000_000;
 const STEP_NS: u64 = 10_000_000;
