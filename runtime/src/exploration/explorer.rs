@@ -278,8 +278,14 @@ impl Explorer {
         events.push(Event::GoalDropped { why });
         let Some(goal) = self.goal else { return };
         self.forget_goal();
-        if !matches!(why, DropReason::Resolved | DropReason::PolicySwitched) {
+        // A switch of the policy ends goals that the robot may have tried for long without progress.
+        let stalled_s = goal.stalled_ns(senses.time_ns) as f64 * 1e-9;
+        let was_cut_short =
+            why == DropReason::PolicySwitched && stalled_s < 0.5 * self.config.progress_timeout_s;
+        if why != DropReason::Resolved && !was_cut_short {
             self.note_tried(&goal);
+        }
+        if !matches!(why, DropReason::Resolved | DropReason::PolicySwitched) {
             self.blacklist_place(goal.interest_m, senses);
             self.blacklist_place(goal.target_m, senses);
         }
@@ -293,7 +299,7 @@ impl Explorer {
     /// Remembers that a goal ended before its frontier was resolved.
     fn note_tried(&mut self, goal: &Goal) {
         if goal.is_frontier() {
-            self.ending.tried(goal.interest_m, self.config.blacklist_radius_m);
+            self.ending.tried(goal, self.config.blacklist_radius_m);
         }
     }
 
