@@ -81,7 +81,7 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
     let _ = writeln!(
         out,
         "loop         {} ticks, {} skipped, latest tick {:.1} ms late, {priority}",
-        safety.turns,
+        safety.steps,
         safety.skipped,
         safety.worst_late_us / 1e3
     );
@@ -93,8 +93,8 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
         exploration.policy,
         exploration.mapped_m2,
         exploration.ticks,
-        exploration.turn_p50_ms,
-        exploration.turn_p99_ms,
+        exploration.tick_p50_ms,
+        exploration.tick_p99_ms,
         exploration.skipped
     );
     if let Some(why) = &exploration.lost {

@@ -501,14 +501,14 @@ fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out
     scene.drives("driving on");
 
     // Nobody promises that this computer does nothing else. A swap that waits for the disk or for the network to load would
-    // cost turns every time.
-    let without = models.left_out.iter().filter(|turns| **turns == 0).count();
+    // cost ticks every time.
+    let without = models.left_out.iter().filter(|ticks| **ticks == 0).count();
     assert!(
         2 * without > models.left_out.len(),
-        "turns left out at each swap: {:?}",
+        "ticks left out at each swap: {:?}",
         models.left_out
     );
-    println!("turns left out at each swap: {:?}", models.left_out);
+    println!("ticks left out at each swap: {:?}", models.left_out);
     let store = scene.path("models");
     scene.ends_and_replays(&[Path::new("--model-store"), &store]);
 }

@@ -105,7 +105,7 @@ pub struct Summary {
     /// Ticks of a real robot's exploration plane that were skipped because the one before took
     /// longer than its period.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub skipped_turns: Option<u64>,
+    pub skipped_ticks: Option<u64>,
     #[serde(flatten)]
     pub events: EventCounts,
     /// Wall-clock time, seconds.

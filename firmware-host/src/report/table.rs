@@ -87,7 +87,7 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         (
             "skipped",
             summary
-                .skipped_turns
+                .skipped_ticks
                 .map_or(String::new(), |ticks| format!("{ticks} ticks that would have been late")),
         ),
         ("ended by", summary.end_reason.map_or(String::new(), |end| name(&end))),

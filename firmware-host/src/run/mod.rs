@@ -133,7 +133,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let summary = Summary {
         model,
         end_reason: Some(end),
-        skipped_turns: Some(exploration.session.skipped()),
+        skipped_ticks: Some(exploration.session.skipped()),
         faults: plan.texts(),
         fault_seed: plan.seed(),
         ..Summary::default()

@@ -55,7 +55,7 @@ pub struct SafetyStatus {
     /// Number of obstacles for which the robot has stopped.
     pub stops: u64,
     /// Number of steps of the safety loop.
-    pub turns: u64,
+    pub steps: u64,
     /// Number of steps that were skipped because an earlier one was late.
     pub skipped: u64,
     /// Largest delay of a step, microseconds.
@@ -133,9 +133,9 @@ pub struct ExplorationStatus {
     /// Why the last frame has no depth; absent if it has depth.
     pub no_depth: Option<String>,
     /// Median duration of a tick, milliseconds.
-    pub turn_p50_ms: f64,
+    pub tick_p50_ms: f64,
     /// 99th percentile of the duration of a tick, milliseconds.
-    pub turn_p99_ms: f64,
+    pub tick_p99_ms: f64,
     /// Mapped floor, square metres.
     pub mapped_m2: f64,
     /// Accuracy of the depth where the LiDAR measures the same points, over about a minute; absent before the first

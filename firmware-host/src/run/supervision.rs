@@ -166,7 +166,7 @@ impl Supervision {
                 },
                 last_stop: self.last_stop.clone(),
                 stops: safety.trips,
-                turns: safety.steps,
+                steps: safety.steps,
                 skipped: safety.skipped,
                 worst_late_us: safety.worst_late_ns as f64 * 1e-3,
                 realtime,
