@@ -2,8 +2,9 @@
 //!
 //! A frontier is *open* while it can be reached and the robot has tried it less than twice: a place behind glass stays unknown
 //! however often the robot drives there. Behind a doubtful obstacle one try is enough: the robot went to see whether the obstacle
-//! is there, and it was. Exploration has ended when no frontier was open in several choices of a goal in a row,
-//! between which the robot drives elsewhere.
+//! is there, and it was. Exploration has ended when no frontier was open in several choices of a goal in a row, between which the
+//! robot drives elsewhere; or when many goals in a row have added no floor to the map, because frontiers on windows and on noise
+//! come back in other places.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,6 +17,12 @@ use crate::event::GoalReason;
 const TRIES: u32 = 2;
 /// Choices of a goal without an open frontier.
 const CHOICES: u32 = 3;
+/// Goals that add less floor than this, all together, are in vain, square metres: one cell of a frontier and its neighbours.
+const GAIN_M2: f64 = 0.25;
+/// Goals in vain, and their time, after which exploration has ended: more than one round of the `active` policy, so that it
+/// tried frontiers too.
+const IN_VAIN: u32 = 8;
+const IN_VAIN_NS: u64 = 180_000_000_000;
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Tried {
@@ -36,7 +43,28 @@ impl Tried {
 pub(super) struct Ending {
     tried: Vec<Tried>,
     choices: u32,
+    in_vain: InVain,
     has_ended: bool,
+}
+
+/// Goals since the floor in the map last grew.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+struct InVain {
+    floor_m2: f64,
+    since_ns: u64,
+    goals: u32,
+}
+
+impl InVain {
+    /// A goal is chosen. Returns whether enough of them were in vain.
+    fn update(&mut self, floor_m2: f64, now_ns: u64) -> bool {
+        // Cells that were free may become occupied: less floor is not growth to come.
+        if floor_m2 > self.floor_m2 + GAIN_M2 {
+            *self = Self { floor_m2, since_ns: now_ns, goals: 0 };
+        }
+        self.goals = self.goals.saturating_add(1);
+        self.goals > IN_VAIN && now_ns.saturating_sub(self.since_ns) >= IN_VAIN_NS
+    }
 }
 
 impl Ending {
@@ -60,10 +88,12 @@ impl Ending {
         frontiers.iter().any(|one| one.travel_m.is_some() && !is_exhausted(one))
     }
 
-    /// A goal is chosen while a frontier is open, or none is. True once, when exploration has ended.
-    pub(super) fn update(&mut self, is_open: bool) -> bool {
+    /// A goal is chosen at `now_ns` while a frontier is open, or none is, and the map has this much free floor. True once, when
+    /// exploration has ended.
+    pub(super) fn update(&mut self, is_open: bool, floor_m2: f64, now_ns: u64) -> bool {
         self.choices = if is_open { 0 } else { self.choices.saturating_add(1) };
-        let ends = self.choices >= CHOICES && !self.has_ended;
+        let is_in_vain = self.in_vain.update(floor_m2, now_ns);
+        let ends = (self.choices >= CHOICES || is_in_vain) && !self.has_ended;
         self.has_ended |= ends;
         ends
     }
@@ -126,9 +156,28 @@ mod tests {
     #[test]
     fn exploration_ends_once_after_three_choices_in_a_row_without_an_open_frontier() {
         let mut ending = Ending::default();
-        let ends: Vec<bool> =
-            [false, false, true, false, false, false, false].map(|open| ending.update(open)).into();
+        let ends: Vec<bool> = [false, false, true, false, false, false, false]
+            .map(|open| ending.update(open, 0.0, 0))
+            .into();
         assert_eq!(ends, [false, false, false, false, false, true, false]);
         assert!(ending.has_ended());
+    }
+
+    #[test]
+    fn exploration_ends_when_goals_of_three_minutes_have_added_no_floor() {
+        const GOAL_NS: u64 = 30_000_000_000;
+        let mut ending = Ending::default();
+        for goal in 0..20_u32 {
+            assert!(!ending.update(true, f64::from(goal), u64::from(goal) * GOAL_NS));
+        }
+        let ends = (20..40).find(|goal| ending.update(true, 19.2, goal * GOAL_NS));
+        // The 19th goal was the last that added floor.
+        assert_eq!(ends, Some(19 + 8));
+    }
+
+    #[test]
+    fn goals_in_vain_of_less_than_three_minutes_are_no_end_such_as_behind_a_person() {
+        let mut ending = Ending::default();
+        assert!((0..100).all(|goal| !ending.update(true, 5.0, goal * 1_000_000_000)));
     }
 }

@@ -314,7 +314,8 @@ impl Explorer {
         let mut is_open = true;
         let selected = self.select_goal(senses, events, &mut is_open);
         is_open = is_open || self.any_doubtful_frontier_is_open(senses);
-        if self.ending.update(is_open) {
+        let floor_m2 = senses.map.free_m2();
+        if self.ending.update(is_open, floor_m2, senses.time_ns) {
             events.push(Event::Explored);
             if self.config.return_to_start {
                 self.errand = self.start.as_ref().map(Errand::back_to);

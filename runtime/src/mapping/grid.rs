@@ -442,6 +442,13 @@ impl OccupancyGrid {
         self.known
     }
 
+    /// Area of the free cells, square metres.
+    #[must_use]
+    pub fn free_m2(&self) -> f64 {
+        let free = self.known_cells().filter(|(cell, _)| self.state(*cell) == CellState::Free);
+        free.count() as f64 * self.config.cell_m * self.config.cell_m
+    }
+
     /// Every known cell with its log-odds, row by row.
     pub fn known_cells(&self) -> impl Iterator<Item = (Cell, f32)> + '_ {
         let rows = self
