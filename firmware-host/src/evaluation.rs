@@ -9,7 +9,7 @@ use runtime::tick::Decision;
 
 use crate::report::coverage::Coverage;
 use crate::report::events::EventCounts;
-use crate::report::map_picture::{Goal, GoalFate};
+use crate::report::map_image::{Goal, GoalFate};
 use crate::report::pose_error::{PoseError, PosePair};
 use crate::report::stuck::StuckMeter;
 use crate::report::summary::{DepthAccuracy, Summary};

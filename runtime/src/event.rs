@@ -97,13 +97,28 @@ pub enum GoalReason {
     Inconsistency,
     /// A frontier behind obstacles that are old or were observed seldom: nothing else can be reached, and from nearby the
     /// robot observes whether they are still there.
-    LookAgain,
+    DoubtfulFrontier,
     /// Nothing else is left; a distant known place is observed again from elsewhere.
     Revisit,
     /// The operator asked for it.
     Task,
     /// The robot returns to where the run began.
     Return,
+}
+
+impl GoalReason {
+    /// Two words at most, for a line of progress.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Frontier => "frontier",
+            Self::Inconsistency => "inconsistency",
+            Self::DoubtfulFrontier => "doubtful frontier",
+            Self::Revisit => "revisit",
+            Self::Task => "task",
+            Self::Return => "return",
+        }
+    }
 }
 
 /// Why a goal was given up.

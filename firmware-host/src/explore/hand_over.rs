@@ -20,7 +20,7 @@ use crate::report::atomic::{prepare_dir, write_atomically};
 use crate::setup;
 
 /// Interval between two checks for the next model. Training takes minutes.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_PERIOD: Duration = Duration::from_millis(50);
 
 /// The message to the trainer: the first `segments` files of the recording, and the corresponding part of the dump, are
 /// complete.
@@ -70,14 +70,14 @@ impl HandOver {
         round: &Round,
         interrupted: &AtomicBool,
     ) -> Result<Option<DepthNetwork>> {
-        let told = self.dir.join(format!("round_{:04}.json", round.round));
-        write_atomically(&told, &serde_json::to_vec_pretty(round)?)?;
+        let file = self.dir.join(format!("round_{:04}.json", round.round));
+        write_atomically(&file, &serde_json::to_vec_pretty(round)?)?;
         let path = setup::handed_over_model(&self.dir, round.round);
         while !path.exists() {
             if interrupted.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_PERIOD);
         }
         setup::load_network(&path, &self.config.camera.model(), &self.config).map(Some)
     }

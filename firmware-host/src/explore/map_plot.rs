@@ -8,7 +8,7 @@ use runtime::mapping::OccupancyGrid;
 use simulator::floor::{FloorPlan, Grid};
 
 use crate::evaluation::Evaluation;
-use crate::report::map_picture::{CellState, Cells, Goal, MapPlot, TrueHome};
+use crate::report::map_image::{CellState, Cells, Goal, MapPlot, TrueHome};
 use crate::report::percent;
 use crate::report::summary::Summary;
 

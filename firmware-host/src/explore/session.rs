@@ -171,9 +171,9 @@ impl Exploration {
                 Err(Failure::Other(error)) => return Err(error),
             }
             let goal = self.session.robot().explorer().goal();
-            let doing = goal.map_or_else(String::new, |goal| format!("{:?}", goal.why));
+            let doing = goal.map_or("", |goal| goal.why.name());
             let coverage = self.log.evaluation.coverage().map(Coverage::share);
-            progress.frame(self.done, &Status { coverage, doing: &doing.to_lowercase() });
+            progress.frame(self.done, &Status { coverage, doing });
             if self.until_done && self.session.robot().explorer().is_done() {
                 end = ExploreEnd::Explored;
                 break;

@@ -8,7 +8,7 @@ use runtime::robot::SavedMap;
 use super::{ros, walls};
 use crate::report::atomic::{prepare_dir, write_atomically};
 use crate::report::known_cells::KnownCells;
-use crate::report::map_picture::MapPlot;
+use crate::report::map_image::MapPlot;
 
 /// The description that `map_server` is given.
 const YAML_FILE: &str = "map.yaml";

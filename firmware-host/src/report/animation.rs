@@ -12,7 +12,7 @@ use super::{
     colors::{self, Rgb},
     depth_sample::SheetRow,
     depth_sheet::{DepthScale, hatch},
-    map_picture::{CellState, Cells, END, FAINT, FREE, INK, OCCUPIED, PAGE, UNKNOWN},
+    map_image::{CellState, Cells, END, FAINT, FREE, INK, OCCUPIED, PAGE, UNKNOWN},
     percent,
 };
 

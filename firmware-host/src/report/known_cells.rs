@@ -2,7 +2,7 @@
 
 use runtime::mapping::{Cell, CellState, OccupancyGrid};
 
-use super::map_picture::Cells;
+use super::map_image::Cells;
 
 /// The smallest rectangle with all known cells. Row 0 has the lowest y, column 0 the lowest x.
 #[derive(Debug, Clone, PartialEq)]

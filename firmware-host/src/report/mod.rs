@@ -12,7 +12,7 @@ pub mod depth_sheet;
 pub mod events;
 pub mod known_cells;
 pub mod latency;
-pub mod map_picture;
+pub mod map_image;
 pub mod map_view;
 pub mod pose_error;
 pub mod progress;

@@ -9,7 +9,7 @@ use runtime::mapping::{Cell, CellState, MapConfig, MapError, OccupancyGrid};
 use runtime::perception::DepthEstimate;
 
 use super::atomic::ReportError;
-use super::map_picture::{Cells, MapPlot};
+use super::map_image::{Cells, MapPlot};
 
 /// The map shows obstacles between these distances below and above the median height of the camera,
 /// metres: from the hip to above the eyes of a person who holds the camera.

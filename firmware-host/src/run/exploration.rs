@@ -80,7 +80,7 @@ impl Exploration {
             policy: robot.config().policy.name().to_owned(),
             goal: robot.explorer().goal().map(|goal| {
                 let [x_m, y_m] = goal.target_m;
-                format!("{:?} at ({x_m:.2}, {y_m:.2}) m", goal.why).to_lowercase()
+                format!("{} at ({x_m:.2}, {y_m:.2}) m", goal.why.name())
             }),
             lost: robot.whereabouts().lost().map(|why| lost_reason(why).to_owned()),
             no_depth: self.log.no_depth.map(|why| sentence(&Event::NoDepth { why }).1),

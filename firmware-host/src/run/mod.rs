@@ -41,7 +41,7 @@ use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
 use crate::report::known_cells::KnownCells;
 use crate::report::latency::Stage;
-use crate::report::map_picture::MapPlot;
+use crate::report::map_image::MapPlot;
 use crate::report::summary::{CameraLatency, LidarLine, Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
 use crate::task::TaskFile;

@@ -71,7 +71,7 @@ impl Ending {
     /// A goal at a frontier has ended, and the frontier is still there. Frontiers are the same if the places to observe, or those to
     /// drive to, are within `radius_m`.
     pub(super) fn tried(&mut self, goal: &Goal, radius_m: f64) {
-        let times = if goal.why == GoalReason::LookAgain { TRIES } else { 1 };
+        let times = if goal.why == GoalReason::DoubtfulFrontier { TRIES } else { 1 };
         let places_m = [goal.interest_m, goal.target_m];
         match self.tried.iter_mut().find(|tried| tried.is_at(places_m, radius_m)) {
             Some(tried) => tried.times += times,
@@ -127,7 +127,7 @@ mod tests {
     fn a_frontier_behind_a_doubtful_obstacle_is_open_until_it_was_tried_once() {
         let mut ending = Ending::default();
         let near = frontier(1.0, Some(1.0));
-        ending.tried(&goal(1.2, GoalReason::LookAgain), 0.5);
+        ending.tried(&goal(1.2, GoalReason::DoubtfulFrontier), 0.5);
         assert!(!ending.any_open(&[near], 0.5));
         assert!(ending.any_open(&[near, frontier(2.0, Some(2.0))], 0.5));
     }
@@ -135,7 +135,7 @@ mod tests {
     #[test]
     fn a_frontier_whose_centroid_has_moved_is_known_by_the_place_to_drive_to() {
         let mut ending = Ending::default();
-        ending.tried(&goal(1.0, GoalReason::LookAgain), 0.5);
+        ending.tried(&goal(1.0, GoalReason::DoubtfulFrontier), 0.5);
         let moved = Candidate { interest_m: [1.9, 0.0], ..frontier(1.2, Some(1.0)) };
         assert!(!ending.any_open(&[moved], 0.5));
     }

@@ -382,7 +382,7 @@ impl Explorer {
         }
         let places = survey.random_places(REVISIT_DRAWS, senses.map, &mut self.rng);
         if let Some(again) = self.select_doubtful_frontier(senses) {
-            return Some((again.target_m, again.interest_m, GoalReason::LookAgain));
+            return Some((again.target_m, again.interest_m, GoalReason::DoubtfulFrontier));
         }
         let place_m = choose::select_revisit(
             &places,
@@ -419,8 +419,11 @@ impl Explorer {
     fn plan(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) {
         let Some(goal) = &mut self.goal else { return };
         self.plan_at = senses.tick + self.config.replan_ticks;
-        let doubtful_log_odds =
-            if goal.why == GoalReason::LookAgain { self.config.doubtful_log_odds } else { 0.0 };
+        let doubtful_log_odds = if goal.why == GoalReason::DoubtfulFrontier {
+            self.config.doubtful_log_odds
+        } else {
+            0.0
+        };
         let planned =
             self.navigator.plan(senses.map, &senses.pose, goal.target_m, doubtful_log_odds);
         let followed = planned
@@ -546,7 +549,7 @@ mod tests {
 
     #[test]
     fn a_frontier_behind_doubtful_obstacles_is_chosen_when_no_other_can_be_reached() {
-        assert_eq!(first_goal(5.0), GoalReason::LookAgain);
+        assert_eq!(first_goal(5.0), GoalReason::DoubtfulFrontier);
     }
 
     #[test]

@@ -42,7 +42,7 @@ impl Goal {
     /// Whether the goal is a frontier, so that it is resolved once no unknown floor is left there.
     #[must_use]
     pub fn is_frontier(&self) -> bool {
-        matches!(self.why, GoalReason::Frontier | GoalReason::LookAgain)
+        matches!(self.why, GoalReason::Frontier | GoalReason::DoubtfulFrontier)
     }
 
     /// Records that `left_m` metres of the path are left.

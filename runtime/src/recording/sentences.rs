@@ -77,7 +77,9 @@ fn goal_reason(why: GoalReason) -> &'static str {
     match why {
         GoalReason::Frontier => "free floor beside unknown space",
         GoalReason::Inconsistency => "two observations of that place disagree",
-        GoalReason::LookAgain => "a frontier behind uncertain obstacles; no other can be reached",
+        GoalReason::DoubtfulFrontier => {
+            "a frontier behind uncertain obstacles; no other can be reached"
+        }
         GoalReason::Task => "the operator asked for it",
         GoalReason::Return => "back to where the run began",
         GoalReason::Revisit => "nothing unknown is left; a known place seen from another side",
