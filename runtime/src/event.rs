@@ -77,6 +77,8 @@ pub enum Event {
         /// How.
         how: WheelError,
     },
+    /// The program that sent poses has sent none for a second; the wheels give the pose. It comes once until the next pose.
+    OutsidePosesSilent,
     /// No frontier is left that the robot can reach: all floor that it can reach has been seen. It comes once.
     Explored,
     /// The policy changed the way in which it chooses goals.
@@ -309,6 +311,12 @@ pub enum RefusedInput {
     FrameSize,
     /// The time went backwards.
     TimeWentBack,
+    /// A pose from another program contains NaN or infinity.
+    OutsidePoseNotFinite,
+    /// A pose from another program is too old, from the future, or not newer than the one before.
+    OutsidePoseTime,
+    /// The poses from another program have jumped. The wheels carry the pose over the jump.
+    OutsidePoseJump,
 }
 
 /// Why exploration ended.

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, SafetyEvent};
 use crate::localization::LostReason;
+use crate::outside_pose::OutsideInput;
 use crate::safety::SentCommand;
 use crate::task::Task;
 
@@ -21,6 +22,8 @@ pub struct TickInput<'a> {
     pub scan: Option<&'a LaserScan>,
     /// `t_odom_base` when the scanner was halfway through `scan`; that of `wheel` where there is no scan.
     pub scan_odom: Pose2,
+    /// The newest pose that another program has sent since the previous tick.
+    pub outside: Option<OutsideInput>,
     /// A new frame, if one came: RGB8 in the size that perception works on.
     pub frame: Option<ImageView<'a>>,
     /// Ground-truth depth of `frame`. Only with the depth source `truth`, which exists to test mapping and planning apart from

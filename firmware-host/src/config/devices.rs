@@ -34,6 +34,9 @@ hal::settings! {
         status_file: String = "/run/embodied-depth/status.json".to_owned();
         /// File through which `firmware-host go-to`, `return` and `resume` give the running robot a task.
         task_file: String = "/run/embodied-depth/task.json".to_owned();
+        /// Unix datagram socket on which another program sends poses, such as visual-inertial odometry or a motion capture.
+        /// They replace the wheel odometry of localization. Empty: there is no such program.
+        pose_socket: String = String::new();
         /// File that remembers a stop that needs a person, also when the program or the computer starts again.
         stop_file: String = "/var/lib/embodied-depth/last_stop.json".to_owned();
     }

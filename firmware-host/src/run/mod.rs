@@ -11,6 +11,7 @@ mod instance_lock;
 mod last_stop;
 mod live_devices;
 mod operator;
+mod pose_socket;
 pub mod safety_thread;
 pub mod status;
 #[cfg(test)]
@@ -50,6 +51,7 @@ use instance_lock::InstanceLock;
 use last_stop::StopFile;
 use live_devices::LiveDevices;
 use operator::Operator;
+use pose_socket::PoseSocket;
 use safety_thread::{Pace, SafetyThread};
 use supervision::Supervision;
 
@@ -84,6 +86,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let mut robot = Robot::new(config.robot(&mission), network)?;
     let map =
         args.map.as_deref().map(|path| KeptMap::open(path, &mut robot, &config)).transpose()?;
+    let poses = PoseSocket::open(&config.run.pose_socket)?;
     let out = &args.out.clone().unwrap_or_else(|| named_by_time(&config));
     prepare_dir(out)?;
     let plan = args
@@ -126,8 +129,9 @@ pub fn run(args: &RunArgs) -> Result<()> {
         }
     }
     supervision.announce(&safety);
-    let tasks = TaskFile::open(config.run.task_file.as_ref());
-    let end = explore(args, &operator, &tasks, &mut safety, &mut exploration, &mut supervision)?;
+    let mut inputs = Inputs { tasks: TaskFile::open(config.run.task_file.as_ref()), poses };
+    let end =
+        explore(args, &operator, &mut inputs, &mut safety, &mut exploration, &mut supervision)?;
     let late = safety.shut_down();
     supervision.good_bye();
     let summary = Summary {
@@ -145,19 +149,28 @@ pub fn run(args: &RunArgs) -> Result<()> {
     saved
 }
 
+/// What other programs give the exploration loop.
+struct Inputs {
+    tasks: TaskFile,
+    poses: Option<PoseSocket>,
+}
+
 /// Runs the exploration loop until something ends it.
 fn explore(
     args: &RunArgs,
     operator: &Operator,
-    tasks: &TaskFile,
+    inputs: &mut Inputs,
     safety: &mut SafetyThread,
     exploration: &mut Exploration,
     supervision: &mut Supervision,
 ) -> Result<ExploreEnd> {
     loop {
         exploration.session.wait();
-        if let Some(task) = tasks.take() {
+        if let Some(task) = inputs.tasks.take() {
             exploration.session.give(task)?;
+        }
+        if let Some(pose) = inputs.poses.as_mut().and_then(PoseSocket::take) {
+            exploration.session.give_pose(pose);
         }
         if operator.ends.load(Ordering::Relaxed) {
             return Ok(ExploreEnd::Interrupted);

@@ -179,6 +179,7 @@ mod tests {
                 wheel,
                 scan: Some(&scan),
                 scan_odom: wheel.odom,
+                outside: None,
                 frame: with_frame.then_some(frame),
                 truth: None,
                 task: None,

@@ -3,6 +3,7 @@
 use blake3::Hasher;
 use hal::{DepthMap, ImageView, LaserScan, Pose2, Range, WheelFeedback};
 
+use crate::outside_pose::OutsideInput;
 use crate::tick::{Decision, SafetyReport, TickInput};
 
 /// BLAKE3 over a run's inputs and over its decisions, in a canonical form that does not depend on the recording's
@@ -75,6 +76,12 @@ fn hash_input(hasher: &mut Hasher, input: &TickInput<'_>) {
     }
     hash_pose(hasher, &input.scan_odom);
     hash_safety(hasher, input.safety);
+    // Recordings from before there were poses from outside keep their digests.
+    if let Some(OutsideInput { outside, wheel_odom }) = &input.outside {
+        hasher.update(&outside.time_ns.to_le_bytes());
+        hash_pose(hasher, &outside.pose);
+        hash_pose(hasher, wheel_odom);
+    }
     // Recordings from before there were tasks keep their digests.
     if let Some(task) = &input.task {
         // The text as it is recorded. Its numbers are exact.

@@ -3,6 +3,7 @@
 //! A finite number is written as the shortest text that is read back to the same bits. NaN and infinities, which JSON
 //! does not have, are written as strings of their bits, because a replay needs them too.
 
+use crate::outside_pose::{OutsideInput, OutsidePose};
 use hal::{CameraModel, Distortion, Pose2, Pose3, ScanGeometry, Twist2, WheelFeedback};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
@@ -97,6 +98,31 @@ impl From<&PoseJson> for Pose2 {
     fn from(json: &PoseJson) -> Self {
         // Not `Pose2::new`: that wraps the yaw, and a replay needs the bits that were recorded.
         Self { x_m: json.x_m.0, y_m: json.y_m.0, yaw_rad: json.yaw_rad.0 }
+    }
+}
+
+/// [`OutsideInput`].
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct OutsideJson {
+    time_ns: u64,
+    pose: PoseJson,
+    wheel_odom: PoseJson,
+}
+
+impl From<&OutsideInput> for OutsideJson {
+    fn from(OutsideInput { outside, wheel_odom }: &OutsideInput) -> Self {
+        Self {
+            time_ns: outside.time_ns,
+            pose: PoseJson::from(&outside.pose),
+            wheel_odom: PoseJson::from(wheel_odom),
+        }
+    }
+}
+
+impl From<&OutsideJson> for OutsideInput {
+    fn from(json: &OutsideJson) -> Self {
+        let outside = OutsidePose { time_ns: json.time_ns, pose: Pose2::from(&json.pose) };
+        Self { outside, wheel_odom: Pose2::from(&json.wheel_odom) }
     }
 }
 

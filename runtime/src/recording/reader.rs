@@ -12,6 +12,7 @@ use super::tick::{RecordedTick, RgbImage};
 use super::topics::Topic;
 use super::writer::TickJson;
 use super::{RecordingError, image, scan};
+use crate::outside_pose::OutsideInput;
 use crate::tick::Decision;
 
 /// Reads one segment tick by tick. On a stream without its end, the iterator returns the complete ticks, then one
@@ -178,6 +179,7 @@ impl Parts {
             wheel: WheelFeedback::from(&self.json.wheel),
             scan: self.scan,
             scan_odom: Pose2::from(&self.json.scan_odom),
+            outside: self.json.outside.as_ref().map(OutsideInput::from),
             frame: self.frame,
             truth: self.truth,
             task: self.json.task,

@@ -66,6 +66,10 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::WheelsContradicted { how } => {
             (Warning, format!("wheels and scans disagree: {}", wheel_error(*how)))
         }
+        Event::OutsidePosesSilent => (
+            Warning,
+            "no pose from outside for a second: the wheels give the pose until one comes".to_owned(),
+        ),
         Event::Explored => (Info, "all reachable floor seen".to_owned()),
         Event::PolicySwitched { to } => {
             (Info, format!("policy now chooses goals by: {}", goal_reason(*to)))
@@ -221,6 +225,13 @@ fn refused(why: RefusedInput) -> &'static str {
         }
         RefusedInput::FrameSize => "the image has another size than the camera model",
         RefusedInput::TimeWentBack => "time went back",
+        RefusedInput::OutsidePoseNotFinite => "the pose from outside is not finite",
+        RefusedInput::OutsidePoseTime => {
+            "the pose from outside is too old, ahead of this computer's monotonic clock, or a repetition"
+        }
+        RefusedInput::OutsidePoseJump => {
+            "the pose from outside has jumped; the wheels carry the pose over the jump"
+        }
     }
 }
 

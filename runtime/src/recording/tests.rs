@@ -11,6 +11,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::event::{BackOffEnd, Event, GoalReason, SafetyEvent};
 use crate::localization::LostReason;
+use crate::outside_pose::{OutsideInput, OutsidePose};
 use crate::safety::SentCommand;
 use crate::task::Task;
 use crate::tick::{Command, Decision, SafetyReport};
@@ -73,6 +74,13 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
             4,
             (0..24).map(|i| f32::from(i as u16 + tick as u16) / 1000.0).collect(),
         ),
+        outside: Some(OutsideInput {
+            outside: OutsidePose {
+                time_ns: tick * 100_000_000 + 7,
+                pose: Pose2 { x_m: 5.0, y_m: -0.0, yaw_rad: 4.0 },
+            },
+            wheel_odom: Pose2 { x_m: 0.1 * tick as f64 - 2e-3, y_m: -0.3, yaw_rad: 3.0 },
+        }),
         task: Some(Task::GoTo { x_m: 0.1 + 0.2, y_m: -1e-17 * tick as f64 }),
         scan_odom: Pose2 { x_m: 0.1 * tick as f64 - 1e-3, y_m: -0.3, yaw_rad: 3.0 },
         safety: SafetyReport {
@@ -101,6 +109,7 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
 fn bare_tick(tick: u64) -> RecordedTick {
     RecordedTick {
         scan: None,
+        outside: None,
         frame: None,
         truth: None,
         task: None,
@@ -210,6 +219,13 @@ fn any_wheel() -> impl Strategy<Value = WheelFeedback> {
     )
 }
 
+fn any_outside() -> impl Strategy<Value = OutsideInput> {
+    (any::<u64>(), prop::array::uniform6(any_f64())).prop_map(|(time_ns, v)| OutsideInput {
+        outside: OutsidePose { time_ns, pose: Pose2 { x_m: v[0], y_m: v[1], yaw_rad: v[2] } },
+        wheel_odom: Pose2 { x_m: v[3], y_m: v[4], yaw_rad: v[5] },
+    })
+}
+
 fn any_image() -> impl Strategy<Value = RgbImage> {
     (1usize..9, 1usize..5).prop_flat_map(|(width, height)| {
         prop::collection::vec(any::<u8>(), width * height * 3).prop_map(move |rgb| RgbImage {
@@ -277,9 +293,10 @@ prop_compose! {
         truth in prop::option::of(any_truth()),
         decision in prop::option::of(any_decision()),
         safety in any_report(),
+        outside in prop::option::of(any_outside()),
     ) -> RecordedTick {
         let scan_odom = wheel.odom;
-        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, frame, truth, task: None, safety, decision, snapshot: None }
+        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, outside, frame, truth, task: None, safety, decision, snapshot: None }
     }
 }
 

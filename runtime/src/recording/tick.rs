@@ -3,6 +3,7 @@
 use hal::{DepthMap, ImageView, LaserScan, PixelFormat, Pose2, WheelFeedback};
 
 use super::RecordingError;
+use crate::outside_pose::OutsideInput;
 use crate::task::Task;
 use crate::tick::{Decision, SafetyReport, TickInput};
 
@@ -30,6 +31,8 @@ pub struct RecordedTick {
     pub scan: Option<LaserScan>,
     /// `t_odom_base` when the scanner was halfway through `scan`.
     pub scan_odom: Pose2,
+    /// The newest pose that another program has sent since the previous tick.
+    pub outside: Option<OutsideInput>,
     /// A new image, if one arrived.
     pub frame: Option<RgbImage>,
     /// Ground-truth depth of `frame`, with the depth source `truth`. Whole millimetres.
@@ -55,6 +58,7 @@ impl RecordedTick {
             wheel: WheelFeedback { time_ns, ..WheelFeedback::default() },
             scan: None,
             scan_odom: Pose2::IDENTITY,
+            outside: None,
             frame: None,
             truth: None,
             task: None,
@@ -86,6 +90,7 @@ impl RecordedTick {
             wheel: input.wheel,
             scan: input.scan.cloned(),
             scan_odom: input.scan_odom,
+            outside: input.outside,
             frame: frame.transpose()?,
             truth: input.truth.cloned(),
             task: input.task,
@@ -134,6 +139,7 @@ impl RecordedTick {
             wheel: self.wheel,
             scan: self.scan.as_ref(),
             scan_odom: self.scan_odom,
+            outside: self.outside,
             frame: frame
                 .transpose()
                 .map_err(|source| RecordingError::Frame { tick: self.tick, source })?,

@@ -9,7 +9,7 @@ use mcap::write::NoSeek;
 use serde::{Deserialize, Serialize};
 
 use super::header::SegmentHeader;
-use super::json::{PoseJson, ScanJson, WheelJson};
+use super::json::{OutsideJson, PoseJson, ScanJson, WheelJson};
 use super::sentences::{Severity, sentence};
 use super::tick::RecordedTick;
 use super::topics::Topic;
@@ -53,6 +53,8 @@ pub(super) struct TickJson {
     pub wheel: WheelJson,
     pub scan: Option<ScanJson>,
     pub scan_odom: PoseJson,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub outside: Option<OutsideJson>,
     pub frame: bool,
     pub truth: bool,
     pub decision: bool,
@@ -167,6 +169,7 @@ impl<W: Write> RecordingWriter<W> {
             wheel: WheelJson::from(&tick.wheel),
             scan: tick.scan.as_ref().map(|scan| ScanJson::new(scan.time_ns, &scan.geometry)),
             scan_odom: PoseJson::from(&tick.scan_odom),
+            outside: tick.outside.as_ref().map(OutsideJson::from),
             frame: tick.frame.is_some(),
             truth: tick.truth.is_some(),
             decision: tick.decision.is_some(),

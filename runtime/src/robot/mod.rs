@@ -4,6 +4,7 @@ mod camera_time;
 mod location;
 mod lost;
 mod map_correction;
+mod outside_odometry;
 mod saved_map;
 #[cfg(test)]
 mod saved_map_tests;
@@ -33,6 +34,7 @@ use camera_time::CameraTime;
 use location::Location;
 use lost::LostMotion;
 use map_correction::MapCorrection;
+use outside_odometry::OutsideOdometry;
 use wheel_frame::WheelFrame;
 
 pub use location::TickPoses;
@@ -162,6 +164,7 @@ pub struct Robot {
     has_depth: HasDepth,
     location: Location,
     camera_time: CameraTime,
+    outside: OutsideOdometry,
     wheel_frame: WheelFrame,
     poses: TickPoses,
     whereabouts: Whereabouts,
@@ -208,6 +211,7 @@ impl Robot {
                 Pose2::new(config.laser_forward_m, 0.0, 0.0),
             )?,
             camera_time: CameraTime::default(),
+            outside: OutsideOdometry::default(),
             wheel_frame: WheelFrame::default(),
             poses: TickPoses::START,
             whereabouts: Whereabouts::Localized,
@@ -538,7 +542,8 @@ impl Robot {
         events: &mut Vec<Event>,
     ) {
         let before = self.poses.t_map_base();
-        let located = self.location.update(&self.wheel_frame.apply(input), scan);
+        let corrected = self.outside.apply(input, events);
+        let located = self.location.update(&self.wheel_frame.apply(&corrected), scan);
         self.poses = located.poses;
         if self.config.localization.estimate_camera_latency {
             self.poses.t_odom_base_at_frame =
@@ -629,7 +634,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, location, camera_time, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, location, camera_time, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.

@@ -19,6 +19,7 @@ use hal::{Clock, DepthMap, ImageView};
 pub use safety_link::{SafetyPort, SafetyTask, safety_link};
 pub use virtual_time::{VirtualDevices, VirtualTime};
 
+use crate::outside_pose::{OutsideInput, OutsidePose};
 use crate::recording::{RecordedTick, RecordingError};
 use crate::robot::{Robot, StageTimer};
 use crate::safety::Plan;
@@ -75,6 +76,7 @@ pub struct Session<D> {
     wheels: WheelHistory,
     report: SafetyReport,
     task: Option<Task>,
+    outside: Option<OutsidePose>,
     period_ns: u64,
     due_ns: u64,
     tick: u64,
@@ -92,6 +94,7 @@ impl<D: Devices> Session<D> {
             wheels: WheelHistory::default(),
             report: SafetyReport::default(),
             task: None,
+            outside: None,
             period_ns,
             due_ns,
             tick: 0,
@@ -126,6 +129,7 @@ impl<D: Devices> Session<D> {
             None => self.wheels.newest().copied(),
         };
         let Some(wheel) = wheel else { return Ok(None) };
+        let outside = self.take_outside_pose();
         let scan = self.port.scans.nearest(wheel.time_ns);
         let scan_wheel = scan.and_then(|scan| self.wheels.at(scan.middle_ns()));
         let input = TickInput {
@@ -134,6 +138,7 @@ impl<D: Devices> Session<D> {
             wheel,
             scan,
             scan_odom: scan_wheel.unwrap_or(wheel).odom,
+            outside,
             frame: frame_ns.and_then(|_| self.devices.frame()),
             truth: frame_ns.and_then(|_| self.devices.truth()),
             task: self.task.take(),
@@ -156,6 +161,17 @@ impl<D: Devices> Session<D> {
     pub fn give(&mut self, task: Task) -> Result<(), PlaceNotFinite> {
         self.task = Some(task.check()?);
         Ok(())
+    }
+
+    /// Gives the robot a pose that another program has sent. The next tick takes the newest one.
+    pub fn give_pose(&mut self, outside: OutsidePose) {
+        self.outside = Some(outside);
+    }
+
+    fn take_outside_pose(&mut self) -> Option<OutsideInput> {
+        let outside = self.outside.take()?;
+        let wheel = self.wheels.at(outside.time_ns)?;
+        Some(OutsideInput { outside, wheel_odom: wheel.odom })
     }
 
     /// Number of ticks so far.

@@ -157,6 +157,7 @@ impl<K: Clock> Devices for Blind<K> {
 #[derive(Default)]
 struct Record {
     ticks: Vec<(Decision, SafetyReport)>,
+    inputs: Vec<(Option<OutsideInput>, WheelFeedback)>,
 }
 
 impl StageTimer for Record {
@@ -177,6 +178,7 @@ impl Observer for Record {
         decision: &Decision,
     ) -> Result<(), ()> {
         self.ticks.push((decision.clone(), input.safety.clone()));
+        self.inputs.push((input.outside, input.wheel));
         Ok(())
     }
 }
@@ -290,4 +292,20 @@ fn two_sessions_of_the_same_devices_decide_the_same() {
         recorded(&mut session, 150).ticks
     };
     assert_eq!(decisions(), decisions());
+}
+
+#[test]
+fn a_pose_from_outside_enters_one_tick_with_the_wheels_of_its_own_time() {
+    let (mut session, _) = session();
+    let before = recorded(&mut session, 12);
+    let (_, wheel) = before.inputs[9];
+    assert!(wheel.odom.x_m > 0.1, "the robot drives");
+    let outside = OutsidePose { time_ns: wheel.time_ns, pose: Pose2::new(9.0, 9.0, 1.0) };
+    session.give_pose(OutsidePose { time_ns: 1, ..outside });
+    session.give_pose(outside);
+    let after = recorded(&mut session, 2);
+    let taken = after.inputs[0].0.unwrap();
+    assert_eq!(taken, OutsideInput { outside, wheel_odom: wheel.odom });
+    assert_ne!(after.inputs[0].1.odom, wheel.odom, "the robot has driven on since");
+    assert_eq!(after.inputs[1].0, None);
 }

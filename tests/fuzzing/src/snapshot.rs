@@ -2,8 +2,9 @@ use std::sync::LazyLock;
 
 use firmware_host::config::Config;
 use firmware_host::setup::Mission;
-use hal::{ImageView, LaserScan, Range, ScanGeometry, WheelFeedback};
+use hal::{ImageView, LaserScan, Pose2, Range, ScanGeometry, WheelFeedback};
 use runtime::exploration::PolicyKind;
+use runtime::outside_pose::{OutsideInput, OutsidePose};
 use runtime::recording::RecordedTick;
 use runtime::robot::{DepthSource, Robot, RobotConfig};
 use runtime::session::recompute;
@@ -52,6 +53,10 @@ pub(crate) fn run_ticks(robot: &mut Robot) {
             wheel,
             scan: Some(&scan),
             scan_odom: wheel.odom,
+            outside: Some(OutsideInput {
+                outside: OutsidePose { time_ns, pose: Pose2::new(0.01 * tick as f64, 0.0, 0.0) },
+                wheel_odom: wheel.odom,
+            }),
             frame,
             truth: None,
             task: None,
