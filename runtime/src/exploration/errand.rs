@@ -9,7 +9,7 @@ use super::explorer::Observations;
 use super::goal::Goal;
 use super::navigator::Navigator;
 use crate::event::{DropReason, Event, GoalReason};
-use crate::planning::{Follower, NoPath, Primitive, Progress};
+use crate::planning::{Follower, Primitive, Progress};
 
 /// The robot tries this often to get there, and waits this long in between: a door may open, a person may pass.
 const ATTEMPTS: u32 = 3;
@@ -144,11 +144,13 @@ impl Errand {
         }
         if senses.tick >= plan_at || senses.bumped {
             plan_at = senses.tick + means.config.replan_ticks;
-            let path = means.navigator.plan(senses.map, &senses.pose, goal.target_m, 0.0);
+            if senses.bumped {
+                means.follower.clear();
+            }
+            let target_m = goal.target_m;
             let follower = &mut *means.follower;
-            let followed =
-                path.and_then(|path| follower.set_path(&path).map_err(|_| NoPath::Unreachable));
-            if followed.is_err() {
+            let planned = means.navigator.plan(senses.map, &senses.pose, target_m, 0.0, follower);
+            if planned.is_err() {
                 return self.give_up(DropReason::Unreachable, senses, means, events);
             }
             if senses.bumped {
@@ -159,7 +161,10 @@ impl Errand {
         match step.progress {
             Progress::Following => goal.record_distance(step.remaining_m, senses.time_ns),
             Progress::Reached => return self.arrive(means, events),
-            Progress::OffPath => plan_at = senses.tick,
+            Progress::OffPath => {
+                means.follower.clear();
+                plan_at = senses.tick;
+            }
         }
         self.stage = Stage::Driving { goal, plan_at };
         if step.progress == Progress::OffPath { Primitive::Stay } else { step.primitive }

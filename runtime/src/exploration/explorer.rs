@@ -16,9 +16,7 @@ use super::goal::Goal;
 use super::navigator::Navigator;
 use crate::event::{DropReason, Event, GoalReason, NoGoalReason};
 use crate::mapping::{CellState, OccupancyGrid, SingleFrameMap};
-use crate::planning::{
-    ConfigError, Follower, FollowerConfig, NoPath, PlanConfig, Primitive, Progress,
-};
+use crate::planning::{ConfigError, Follower, FollowerConfig, PlanConfig, Primitive, Progress};
 use crate::snapshot::remembers;
 use crate::task::Task;
 
@@ -424,11 +422,17 @@ impl Explorer {
         } else {
             0.0
         };
-        let planned =
-            self.navigator.plan(senses.map, &senses.pose, goal.target_m, doubtful_log_odds);
-        let followed = planned
-            .and_then(|path_m| self.follower.set_path(&path_m).map_err(|_| NoPath::Unreachable));
-        match followed {
+        if senses.bumped {
+            self.follower.clear();
+        }
+        let planned = self.navigator.plan(
+            senses.map,
+            &senses.pose,
+            goal.target_m,
+            doubtful_log_odds,
+            &mut self.follower,
+        );
+        match planned {
             Ok(()) if senses.bumped => goal.restart_progress(),
             Ok(()) => {}
             Err(_) => self.drop_goal(DropReason::Unreachable, senses, events),
@@ -449,6 +453,7 @@ impl Explorer {
                 None
             }
             Progress::OffPath => {
+                self.follower.clear();
                 self.plan_at = senses.tick;
                 Some(Primitive::Stay)
             }

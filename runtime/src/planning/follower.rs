@@ -124,6 +124,19 @@ impl Follower {
         &self.points_m
     }
 
+    /// What is left of the path for a robot at `here_m`: the robot's place, then the corner points that it
+    /// has not passed; empty without a path.
+    #[must_use]
+    pub fn rest_of_path_m(&self, here_m: [f64; 2]) -> Vec<[f64; 2]> {
+        if self.points_m.is_empty() {
+            return Vec::new();
+        }
+        let passed = self.lengths_m.partition_point(|length_m| *length_m <= self.done_m);
+        // The end is always ahead, also for a robot that stands on it.
+        let ahead = passed.min(self.points_m.len() - 1);
+        std::iter::once(here_m).chain(self.points_m.iter().skip(ahead).copied()).collect()
+    }
+
     /// The next step for a robot at `pose`.
     ///
     /// # Errors
@@ -323,6 +336,20 @@ mod tests {
     fn a_path_of_one_point_is_reached_where_it_is() {
         assert!(drive(&[[0.0, 0.0]], Pose2::IDENTITY).reached);
         assert!(drive(&[[0.0, 0.2], [0.0, 0.2]], Pose2::IDENTITY).reached);
+    }
+
+    #[test]
+    fn the_rest_of_a_path_begins_at_the_robot_and_has_the_corners_ahead() {
+        let mut follower = Follower::new(&FollowerConfig::default()).unwrap();
+        assert!(follower.rest_of_path_m([0.0, 0.0]).is_empty());
+        follower.set_path(&[[0.0, 0.0], [0.4, 0.0], [0.4, 1.0]]).unwrap();
+        assert_eq!(follower.rest_of_path_m([0.0, 0.0]), [[0.0, 0.0], [0.4, 0.0], [0.4, 1.0]]);
+        for place in [Pose2::new(0.3, 0.0, 0.0), Pose2::new(0.41, 0.3, 1.57)] {
+            follower.next(&place).unwrap();
+        }
+        assert_eq!(follower.rest_of_path_m([0.41, 0.3]), [[0.41, 0.3], [0.4, 1.0]]);
+        follower.next(&Pose2::new(0.4, 1.0, 1.57)).unwrap();
+        assert_eq!(follower.rest_of_path_m([0.4, 1.0]), [[0.4, 1.0], [0.4, 1.0]]);
     }
 
     #[test]

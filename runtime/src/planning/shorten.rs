@@ -1,4 +1,4 @@
-//! Path shortening: replaces steps between cells by straight segments.
+//! Straight segments: what they cost, and paths whose steps between cells are replaced by them.
 
 use super::costmap::Costmap;
 use crate::mapping::Cell;
@@ -40,11 +40,22 @@ impl Costmap {
         points
     }
 
-    /// Cost of the straight segment between the centres of two cells, in metres of free floor;
-    /// `None` if it touches a blocked cell.
+    /// Cost of a path given by its corner points, in metres of free floor; `None` if it touches a
+    /// blocked cell.
+    #[must_use]
+    pub fn path_cost_m(&self, points_m: &[[f64; 2]]) -> Option<f64> {
+        points_m
+            .iter()
+            .zip(points_m.iter().skip(1))
+            .try_fold(0.0, |total, (from, to)| Some(total + self.line_cost(*from, *to)?))
+    }
+
+    /// Cost of the straight segment between the centres of two cells; as [`path_cost_m`](Self::path_cost_m).
     fn segment_cost(&self, from: Cell, to: Cell) -> Option<f64> {
-        let start = from.center_m(self.cell_m);
-        let end = to.center_m(self.cell_m);
+        self.line_cost(from.center_m(self.cell_m), to.center_m(self.cell_m))
+    }
+
+    fn line_cost(&self, start: [f64; 2], end: [f64; 2]) -> Option<f64> {
         let length_m = (end[0] - start[0]).hypot(end[1] - start[1]);
         // Samples half a cell apart miss no cell that matters, because blocked cells form discs.
         let samples = (2.0 * length_m / self.cell_m).ceil().max(1.0) as i32;
@@ -112,6 +123,22 @@ mod tests {
                 assert!(!inside, "{at:?} is in the expensive square");
             }
         }
+    }
+
+    #[test]
+    fn a_path_costs_its_length_times_the_weights_and_has_no_cost_through_an_obstacle() {
+        let costmap = open(|cell| match cell.x {
+            0..50 => Some(1.0),
+            50..60 => Some(2.0),
+            _ => None,
+        });
+        let corner = |x: i32, y: i32| Cell::new(x, y).center_m(0.03);
+        let free = costmap.path_cost_m(&[corner(5, 5), corner(45, 5), corner(45, 35)]).unwrap();
+        assert!((free - 70.0 * 0.03).abs() < 1e-9, "{free}");
+        let dear = costmap.path_cost_m(&[corner(52, 5), corner(52, 35)]).unwrap();
+        assert!((dear - 2.0 * 30.0 * 0.03).abs() < 1e-9, "{dear}");
+        assert_eq!(costmap.path_cost_m(&[corner(5, 5), corner(70, 5)]), None);
+        assert_eq!(costmap.path_cost_m(&[]), Some(0.0));
     }
 
     #[test]
