@@ -196,6 +196,19 @@ impl Status {
         })
     }
 
+    /// How a person lets the robot move, if it stands only because nobody has armed it yet.
+    #[must_use]
+    pub fn arming(&self) -> Option<String> {
+        let waits = self.safety.state == "disarmed" && !self.safety.needs_person;
+        waits.then(|| {
+            format!(
+                "the robot is disarmed and stands until a person arms it: `kill -USR1 {}`, or for the service \
+                 `sudo systemctl kill --signal=SIGUSR1 embodied-depth`",
+                self.pid
+            )
+        })
+    }
+
     /// All current problems that an operator should know; empty if the robot is healthy.
     #[must_use]
     pub fn worries(&self, now_unix_s: f64) -> Vec<String> {
@@ -207,15 +220,9 @@ impl Status {
                 self.pid
             ));
         }
-        for device in [&self.camera, &self.lidar, &self.base] {
-            if device.state != DeviceState::Working.to_string() {
-                let problem = device
-                    .problem
-                    .as_ref()
-                    .map_or_else(String::new, |problem| format!(": {problem}"));
-                worries.push(format!("{} is {}{problem}", device.name, device.state));
-            }
-        }
+        worries.extend(
+            [&self.camera, &self.lidar, &self.base].into_iter().filter_map(DeviceHealth::worry),
+        );
         if self.safety.needs_person {
             let SafetyStatus { state, last_stop, .. } = &self.safety;
             let why = match last_stop {
@@ -250,6 +257,19 @@ impl Status {
                 .map(|failure| format!("nothing is recorded: {failure}")),
         );
         worries
+    }
+}
+
+impl DeviceHealth {
+    /// What is wrong with the device, and its remedy; `None` if it works.
+    #[must_use]
+    pub fn worry(&self) -> Option<String> {
+        if self.state == DeviceState::Working.to_string() {
+            return None;
+        }
+        let problem =
+            self.problem.as_ref().map_or_else(String::new, |problem| format!(": {problem}"));
+        Some(format!("{} is {}{problem}", self.name, self.state))
     }
 }
 
