@@ -535,7 +535,8 @@ pub enum ExportLayout {
     /// The format of the TUM RGB-D benchmark with poses from odometry, which `perceive --dataset` reads.
     Tum,
     /// A LeRobot dataset, format 3.0: images, odometry and sent commands in Parquet files.
-    #[cfg(feature = "lerobot")]
+    ///
+    /// Only in a build with the feature `lerobot`, which the robot's package does not have.
     Lerobot,
 }
 

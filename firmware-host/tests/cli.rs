@@ -367,6 +367,36 @@ fn quiet_exploration_shows_no_progress_and_still_its_summary() {
     assert!(text(&quiet.stdout).contains("coverage"), "{}", text(&quiet.stdout));
 }
 
+#[test]
+#[cfg(not(feature = "lerobot"))]
+fn a_build_without_lerobot_says_which_build_has_it() {
+    let dir = TempDir::new().unwrap();
+    let (_, run) = explore(&dir, "run", &HOME);
+    let out = dir.path().join("dataset");
+    let [run, out] = [&run, &out].map(|path| path.to_str().unwrap());
+    let refused = firmware_host(&["buffer", "export", run, "--as", "lerobot", "--out", out]);
+    let said = text(&refused.stderr);
+    assert!(refused.status.code() == Some(1) && said.contains("--features lerobot"), "{said}");
+}
+
+#[test]
+fn a_task_without_a_robot_and_a_list_without_a_store_create_nothing_and_say_what_to_give() {
+    let dir = TempDir::new().unwrap();
+    let nowhere = dir.path().join("nowhere");
+    let task = nowhere.join("task.json");
+    let [folder, task] = [&nowhere, &task].map(|path| path.to_str().unwrap());
+    for (command, named) in [
+        (&["return", "--task-file", task][..], "--task-file"),
+        (&["model", "list", "--store", folder], "there is no model store at"),
+        (&["model", "rollback", "--store", folder], "there is no model store at"),
+    ] {
+        let refused = firmware_host(command);
+        let said = text(&refused.stderr);
+        assert!(refused.status.code() == Some(1) && said.contains(named), "{command:?}: {said}");
+        assert!(!nowhere.exists(), "{command:?}");
+    }
+}
+
 /// Runs a command, reads nothing of what it prints, and returns its exit code and standard error.
 fn with_closed_output(args: &[&str]) -> (Option<i32>, String) {
     let (reader, writer) = std::io::pipe().unwrap();

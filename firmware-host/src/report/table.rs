@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use comfy_table::{CellAlignment, Table, TableComponent, presets};
 use runtime::{
     accuracy::{AccuracyRows, Metrics},
-    event::DropReason,
+    event::{DropReason, ExploreEnd},
     robot::DepthSource,
 };
 
@@ -89,7 +89,7 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
                 .skipped_ticks
                 .map_or(String::new(), |ticks| format!("{ticks} ticks that would have been late")),
         ),
-        ("ended by", summary.end_reason.map_or(String::new(), |end| name(&end))),
+        ("ended by", summary.end_reason.map_or(String::new(), |end| end_in_words(end).to_owned())),
         ("coverage", coverage(summary)),
         ("map", map(summary)),
         ("pose", pose(summary)),
@@ -123,6 +123,18 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
                 .map_or(String::new(), |digest| format!("digest {}", short(digest))),
         ),
     ]
+}
+
+fn end_in_words(end: ExploreEnd) -> &'static str {
+    match end {
+        ExploreEnd::FrameBudget => "the number of frames that was asked for",
+        ExploreEnd::Explored => "having seen all floor that can be reached",
+        ExploreEnd::Interrupted => "Ctrl-C or a signal",
+        ExploreEnd::OutputFailed => "output that cannot be written",
+        ExploreEnd::DeviceFailed => "a device that failed for good",
+        ExploreEnd::Fell => "a fall over an edge of the floor",
+        _ => "another reason",
+    }
 }
 
 fn frames(summary: &Summary) -> String {
@@ -285,7 +297,6 @@ fn numbers(header: &[&str]) -> Table {
 mod tests {
     use std::collections::BTreeMap;
 
-    use runtime::event::ExploreEnd;
     use runtime::latency::Percentiles;
 
     use super::*;
@@ -360,7 +371,7 @@ mod tests {
         for part in [
             "builtin:house?seed=3, active, seed 7, network depth",
             "3000 in 95.1 s, 31.5 frames/s",
-            "frame_budget",
+            "ended by      the number of frames",
             "83.0 % of 92.4 m2 reachable floor",
             "24 frames, at most 24 in a row",
             "41 chosen: 30 reached, 7 seen from afar, 4 given up",

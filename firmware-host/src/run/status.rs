@@ -186,7 +186,8 @@ impl Status {
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| {
             format!(
-                "no status at {}: is `firmware-host run` running? Else give its file by --status",
+                "no status at {}: is `firmware-host run` running? If its configuration has another run.status_file, give \
+                 that by --status",
                 path.display()
             )
         })?;
@@ -267,8 +268,13 @@ impl DeviceHealth {
         if self.state == DeviceState::Working.to_string() {
             return None;
         }
-        let problem =
-            self.problem.as_ref().map_or_else(String::new, |problem| format!(": {problem}"));
+        // Some drivers begin their messages with the name of the device.
+        let problem = self.problem.as_ref().map_or_else(String::new, |problem| {
+            let problem = problem
+                .strip_prefix(&self.name)
+                .map_or(problem.as_str(), |rest| rest.trim_start_matches([':', ' ']));
+            format!(": {problem}")
+        });
         Some(format!("{} is {}{problem}", self.name, self.state))
     }
 }
@@ -356,7 +362,7 @@ mod tests {
     fn every_worry_names_the_thing_and_the_way_out() {
         let mut status = well();
         status.lidar.state = "disconnected".to_owned();
-        status.lidar.problem = Some("/dev/ttyACM0 is not there".to_owned());
+        status.lidar.problem = Some("LiDAR: /dev/ttyACM0 is not there".to_owned());
         status.safety = SafetyStatus {
             state: "fault: bus".to_owned(),
             needs_person: true,

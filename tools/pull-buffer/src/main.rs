@@ -92,6 +92,10 @@ fn specs(options: &Options) -> Result<Vec<Spec>, StoreError> {
             return Err(StoreError::Usage(text));
         }
     }
+    // Before anything is pulled.
+    if let Some(layout) = options.layout {
+        layout.check()?;
+    }
     if let (Some(to), Some(_)) = (options.destination_store(), options.layout) {
         return Err(StoreError::Usage(format!("{to}: --as can only write into a directory")));
     }

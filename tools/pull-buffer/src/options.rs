@@ -134,7 +134,8 @@ pub enum Layout {
     /// The format of the TUM RGB-D benchmark, with poses from odometry.
     Tum,
     /// A LeRobot dataset, format 3.0: images, odometry and sent commands in Parquet files.
-    #[cfg(feature = "lerobot")]
+    ///
+    /// Only in a build with the feature `lerobot`.
     Lerobot,
 }
 
