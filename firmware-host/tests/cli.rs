@@ -358,6 +358,27 @@ fn completions_and_man_pages_name_every_command() {
 }
 
 #[test]
+fn bash_completes_commands_and_the_options_of_a_command() {
+    let script = firmware_host(&["completions", "bash"]).stdout;
+    // The words of the line, and the words that complete the last one.
+    for (line, expected) in
+        [("firmware-host camera", "camera-latency"), ("firmware-host run --keep", "--keep-out")]
+    {
+        let words: Vec<&str> = line.split(' ').collect();
+        let ask = format!(
+            "{}\nCOMP_WORDS=({line}); COMP_CWORD={}\n$(complete -p firmware-host | sed 's/.*-F \\([^ ]*\\).*/\\1/') \
+             firmware-host {} {}\necho \"${{COMPREPLY[@]}}\"",
+            text(&script),
+            words.len() - 1,
+            words[words.len() - 1],
+            words[words.len() - 2],
+        );
+        let bash = std::process::Command::new("bash").args(["-c", &ask]).output().unwrap();
+        assert_eq!(text(&bash.stdout).trim(), expected, "{line}: {}", text(&bash.stderr));
+    }
+}
+
+#[test]
 fn quiet_exploration_shows_no_progress_and_still_its_summary() {
     let dir = TempDir::new().unwrap();
     let (shown, _) = explore(&dir, "shown", &HOME);

@@ -513,6 +513,16 @@ fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out
     scene.ends_and_replays(&[Path::new("--model-store"), &store]);
 }
 
+/// Waits until the robot has run for this long, seconds.
+fn runs_for(folder: &Path, seconds: f64) {
+    let began = Instant::now();
+    while Status::read(&folder.join("status.json")).map_or(0.0, |status| status.uptime_s) < seconds
+    {
+        assert!(began.elapsed() < PATIENCE, "it does not run");
+        pause(20);
+    }
+}
+
 /// A robot none of whose devices is there.
 fn without_devices(folder: &Path) -> Command {
     let config = format!(
@@ -541,12 +551,7 @@ fn a_robot_without_devices_says_which_are_missing_and_names_no_map_that_it_has_n
     let folder = tempfile::tempdir().unwrap();
     let mut run = without_devices(folder.path());
     let robot = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    let status = folder.path().join("status.json");
-    let began = Instant::now();
-    while Status::read(&status).map_or(0.0, |status| status.uptime_s) < 3.0 {
-        assert!(began.elapsed() < PATIENCE);
-        pause(20);
-    }
+    runs_for(folder.path(), 3.0);
     let output = ends(robot);
     let said = String::from_utf8_lossy(&output.stderr);
     for device in ["camera", "LiDAR", "base"] {
@@ -565,12 +570,23 @@ fn a_robot_whose_terminal_was_closed_goes_on_and_ends_with_its_summary() {
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
     let robot = run.stdout(writer.try_clone().unwrap()).stderr(writer).spawn().unwrap();
-    let status = folder.path().join("status.json");
-    let began = Instant::now();
-    while Status::read(&status).map_or(0.0, |status| status.uptime_s) < 3.0 {
-        assert!(began.elapsed() < PATIENCE);
-        pause(20);
-    }
+    runs_for(folder.path(), 3.0);
     ends(robot);
     assert!(folder.path().join("run/summary.json").exists());
+}
+
+#[test]
+fn a_robot_that_was_started_by_nohup_goes_on_without_its_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = without_devices(folder.path());
+    let mut nohup = Command::new("sh");
+    nohup
+        .args(["-c", "trap '' HUP; exec \"$@\"", "sh"])
+        .arg(run.get_program())
+        .args(run.get_args());
+    let robot = nohup.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    runs_for(folder.path(), 1.0);
+    kill_process(Pid::from_raw(robot.id() as i32).unwrap(), Signal::HUP).unwrap();
+    runs_for(folder.path(), 3.0);
+    ends(robot);
 }

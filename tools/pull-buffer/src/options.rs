@@ -181,6 +181,18 @@ mod tests {
     }
 
     #[test]
+    fn lerobot_is_refused_before_the_pull_by_a_build_that_cannot_write_it() {
+        let options = Options::parse_from(["pull-buffer", "a:/x", "here", "--as", "lerobot"]);
+        let checked = options.layout.map(Layout::check);
+        if cfg!(feature = "lerobot") {
+            assert!(matches!(checked, Some(Ok(()))));
+        } else {
+            let Some(Err(error)) = checked else { panic!("it is not refused") };
+            assert!(error.to_string().contains("--features lerobot"), "{error}");
+        }
+    }
+
+    #[test]
     fn rates_are_parsed_with_and_without_units() {
         for (text, rate) in [
             ("5MB/s", 5_000_000),
