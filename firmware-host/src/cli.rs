@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
 use runtime::exploration::PolicyKind;
 use runtime::robot::DepthSource;
 
@@ -11,9 +12,16 @@ use crate::faults::FaultArgs;
 use crate::model::ModelArgs;
 use crate::replay::Moment;
 
+/// The end of the help.
+const ENVIRONMENT: &str = "\
+Environment:
+  RUST_LOG         What is logged to standard error, such as RUST_LOG=info or RUST_LOG=warn,firmware_host::model=debug.
+                   Default: warnings, and during `run` once a minute how well the depth agrees with the LiDAR
+  ORT_DYLIB_PATH   ONNX Runtime's library, if it is not beside the program";
+
 /// Explores a home with one camera, estimates depth, builds a map and records everything.
 #[derive(Debug, Parser)]
-#[command(name = "firmware-host", version, propagate_version = true)]
+#[command(name = "firmware-host", version, propagate_version = true, after_help = ENVIRONMENT)]
 pub struct Cli {
     #[command(subcommand)]
     pub command: Command,
@@ -68,6 +76,17 @@ pub enum Command {
     Check(CheckArgs),
     /// List, verify, recover, export and serve recorded runs.
     Buffer(BufferArgs),
+    /// Print a completion script: `source <(firmware-host completions bash)` completes in this shell.
+    Completions {
+        /// Shell that reads the script.
+        shell: Shell,
+    },
+    /// Write man pages of this program and its commands.
+    #[command(hide = true)]
+    ManPages {
+        /// Folder for the pages. It is created if it is missing.
+        dir: PathBuf,
+    },
 }
 
 /// Arguments of `firmware-host explore`.
@@ -135,6 +154,9 @@ pub struct ExploreArgs {
     /// created if it is missing.
     #[arg(long, value_name = "DIR")]
     pub dump: Option<PathBuf>,
+    /// Show neither the progress nor, on a terminal, what the robot does and why. Warnings and the summary remain.
+    #[arg(long, short)]
+    pub quiet: bool,
     /// Also write an animation of the growing map into the output folder (animation.png, an
     /// animated PNG of at most 3 MB).
     #[arg(long)]
@@ -513,7 +535,8 @@ pub enum ExportLayout {
     /// The format of the TUM RGB-D benchmark with poses from odometry, which `perceive --dataset` reads.
     Tum,
     /// A LeRobot dataset, format 3.0: images, odometry and sent commands in Parquet files.
-    #[cfg(feature = "lerobot")]
+    ///
+    /// Only in a build with the feature `lerobot`, which the robot's package does not have.
     Lerobot,
 }
 

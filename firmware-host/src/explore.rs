@@ -4,16 +4,18 @@ mod devices;
 mod hand_over;
 mod map_accuracy;
 mod map_plot;
+mod narration;
 mod session;
 mod shots;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use drivers::fault::Faults;
 use hal::{Clock, Pose2};
+use runtime::event::ExploreEnd;
 use runtime::recording::RunHeader;
 use runtime::robot::Robot;
 use runtime::task::Task;
-use simulator::{SimulatedRobot, World};
+use simulator::SimulatedRobot;
 
 use crate::cli::ExploreArgs;
 use crate::config::Config;
@@ -33,8 +35,8 @@ use session::Exploration;
 /// Explores, then reports.
 ///
 /// # Errors
-/// A scene, model, configuration or folder that cannot be used. A disk that fills up ends the run with a report and the
-/// reason `output_failed`.
+/// A scene, model, configuration or folder that cannot be used. A disk that fills up ends the run with a report, the
+/// reason `output_failed`, and an error.
 pub fn run(args: &ExploreArgs) -> Result<()> {
     let mut config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
     keep_out::close(args.keep_out.as_deref(), args.policy.into(), &mut config)?;
@@ -55,7 +57,7 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let depth_source = setup::depth_source(args.depth.map(Into::into), network.is_some())?;
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
     let model = network.as_ref().map(|network| network.digest().to_owned());
-    let world = World::open(&args.scene, &simulation::open_options(&args.scene_file, &config))?;
+    let world = simulation::open(&args.scene, &args.scene_file, &config)?;
     let start = args.start.map(|[x_m, y_m, yaw_deg]| Pose2::new(x_m, y_m, yaw_deg.to_radians()));
     let simulated = SimulatedRobot::new(
         std::sync::Arc::new(world),
@@ -112,10 +114,17 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let end = exploration.explore()?;
     // The report comes also if the map cannot be saved.
     let saved = exploration.save_map();
-    exploration
+    let end = exploration
         .report(end, summary)
         .with_context(|| format!("cannot report into {}", args.out.display()))?;
-    saved
+    saved?;
+    match end {
+        ExploreEnd::OutputFailed => bail!(
+            "the run is not recorded to its end: free some space at {}, or use --no-recording",
+            args.out.display()
+        ),
+        _ => Ok(()),
+    }
 }
 
 fn header(

@@ -11,6 +11,8 @@ use runtime::lidar_agreement::AgreementStats;
 
 use crate::cli::HealthArgs;
 use crate::failure::sentence;
+use crate::output;
+use crate::report::fit;
 use crate::run::status::{DeviceHealth, PowerStatus, Status, unix_s};
 
 /// The running robot writes its status twice a second.
@@ -28,39 +30,49 @@ pub fn run(args: &HealthArgs) -> Result<ExitCode> {
     }
     if !args.watch {
         let status = Status::read(&args.status)?;
-        print!("{}", screen(&status, unix_s()));
+        print!("{}", screen(&status, unix_s(), fit::columns()));
         return Ok(exit_code(&status));
     }
     let mut clock = MonotonicClock;
-    loop {
+    while !output::is_closed() {
         let text = match Status::read(&args.status) {
-            Ok(status) => screen(&status, unix_s()),
-            Err(error) => format!("{}\n", sentence(&error)),
+            Ok(status) => screen(&status, unix_s(), fit::columns()),
+            Err(error) => fit::text(&format!("{}\n", sentence(&error)), fit::columns()),
         };
         // Cursor to the top left, each line cleared to its end, then everything below cleared: this does not flicker.
         print!("\x1b[H{}\x1b[J", text.replace('\n', "\x1b[K\n"));
-        std::io::Write::flush(&mut std::io::stdout())?;
+        output::flush();
         clock.sleep_until_ns(clock.now_ns() + WATCH_NS);
     }
+    Ok(ExitCode::SUCCESS)
 }
 
 fn exit_code(status: &Status) -> ExitCode {
     if status.worries(unix_s()).is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-fn screen(status: &Status, now_unix_s: f64) -> String {
+/// The whole screen, for a terminal of this width.
+fn screen(status: &Status, now_unix_s: f64, columns: Option<usize>) -> String {
     let mut out = String::new();
     let worries = status.worries(now_unix_s);
-    let verdict = if worries.is_empty() { "healthy" } else { "UNHEALTHY" };
+    let arming = status.arming();
+    let verdict = match (worries.is_empty(), &arming) {
+        (false, _) => "UNHEALTHY",
+        (true, Some(_)) => "healthy, but disarmed",
+        (true, None) => "healthy",
+    };
     let _ =
         writeln!(out, "robot: {verdict}   (pid {}, up {})\n", status.pid, span(status.uptime_s));
     for worry in &worries {
         let _ = writeln!(out, "  ! {worry}");
     }
-    if !worries.is_empty() {
+    if let Some(arming) = &arming {
+        let _ = writeln!(out, "  > {arming}");
+    }
+    if !worries.is_empty() || arming.is_some() {
         out.push('\n');
     }
-    let _ = writeln!(out, "{}\n", devices(status));
+    let _ = writeln!(out, "{}\n", fit::table(&devices(status), columns));
     if let Some(power) = power(&status.power) {
         let _ = writeln!(out, "power        {power}");
     }
@@ -122,7 +134,7 @@ fn screen(status: &Status, now_unix_s: f64) -> String {
         );
     }
     out.push('\n');
-    out
+    fit::text(&out, columns)
 }
 
 /// What the base reports about its supply and its temperature; `None` if it reports nothing.
@@ -231,8 +243,20 @@ mod tests {
     }
 
     #[test]
+    fn the_screen_fits_a_terminal_of_40_columns() {
+        let mut status = working();
+        status.lidar.state = "disconnected".to_owned();
+        status.lidar.problem =
+            Some("/dev/embodied-depth/lidar is not there: plug it in".to_owned());
+        status.recording.folder = Some("/var/lib/embodied-depth/2026-11".to_owned());
+        let text = screen(&status, 100.5, Some(40));
+        assert!(text.lines().all(|line| line.chars().count() <= 40), "{text}");
+        assert!(text.contains("camera\n  state     working\n  rate      40.0 Hz\n"), "{text}");
+    }
+
+    #[test]
     fn the_screen_says_healthy_or_what_is_wrong() {
-        let text = screen(&working(), 100.5);
+        let text = screen(&working(), 100.5, None);
         assert!(
             text.starts_with("robot: healthy")
                 && text.contains("40.0 Hz")
@@ -245,11 +269,17 @@ mod tests {
         let report =
             PowerReport { voltage_v: Some(23.6), current_a: None, temperature_c: Some(41.0) };
         reporting.power = PowerStatus::new(&report, 80.0);
-        let text = screen(&reporting, 100.5);
+        let text = screen(&reporting, 100.5, None);
         assert!(text.contains("power        23.6 V, 41 degrees Celsius\n"), "{text}");
+        let mut disarmed = working();
+        disarmed.pid = 7;
+        disarmed.safety.state = "disarmed".to_owned();
+        let text = screen(&disarmed, 100.5, None);
+        assert!(text.starts_with("robot: healthy, but disarmed"), "{text}");
+        assert!(text.contains("kill -USR1 7") && text.contains("systemctl kill"), "{text}");
         let mut broken = working();
         broken.lidar.state = "silent".to_owned();
-        let text = screen(&broken, 100.5);
+        let text = screen(&broken, 100.5, None);
         assert!(
             text.starts_with("robot: UNHEALTHY") && text.contains("! LiDAR is silent"),
             "{text}"

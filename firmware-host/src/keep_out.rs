@@ -20,8 +20,9 @@ type Polygon = Vec<[f64; 2]>;
 /// A file that cannot be read or has other shapes than polygons without holes; a policy that drives without a path.
 pub fn close(file: Option<&Path>, policy: PolicyKind, config: &mut Config) -> Result<()> {
     if let Some(path) = file {
-        let text = std::fs::read_to_string(path)
-            .with_context(|| format!("cannot read {}", path.display()))?;
+        let text = std::fs::read_to_string(path).with_context(|| {
+            format!("cannot read {}; --keep-out needs a GeoJSON file with polygons", path.display())
+        })?;
         let polygons = parse(&text).with_context(|| format!("--keep-out {}", path.display()))?;
         config.planning.keep_out_m.extend(polygons);
         config.plan_config().validate()?;

@@ -2,6 +2,10 @@
 //! reports.
 #![forbid(unsafe_code)]
 
+// First, because its macros replace those of the standard library in the modules below.
+#[macro_use]
+pub mod output;
+
 pub mod buffer;
 pub mod camera_latency;
 pub mod check;
@@ -18,6 +22,8 @@ pub mod faults;
 pub mod health;
 pub mod keep_out;
 pub mod localize;
+pub mod logging;
+pub mod manual;
 pub mod map;
 pub mod model;
 pub mod onnx_runtime;

@@ -1,6 +1,5 @@
 //! The program on the robot. `firmware-host --help` lists its commands.
 
-use std::io::IsTerminal;
 use std::os::unix::process::CommandExt;
 use std::process::{Command, ExitCode};
 
@@ -9,8 +8,8 @@ use clap::Parser;
 use firmware_host::cli::{Cli, Command as Subcommand, TaskArgs};
 use firmware_host::config::ConfigError;
 use firmware_host::{
-    buffer, camera_latency, check, failure, health, localize, map, model, perceive, replay_run,
-    reproduce, run, task,
+    buffer, camera_latency, check, failure, health, localize, logging, manual, map, model, output,
+    perceive, replay_run, reproduce, run, task,
 };
 #[cfg(feature = "simulator")]
 use firmware_host::{explore, views};
@@ -24,14 +23,7 @@ const MISUSED: u8 = 2;
 fn main() -> ExitCode {
     disable_onnx_runtime_telemetry();
     let cli = Cli::parse();
-    tracing_subscriber::fmt()
-        .with_env_filter(
-            tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "warn".into()),
-        )
-        .with_writer(std::io::stderr)
-        // systemd's journal shows colour codes as garbage.
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
+    logging::start();
     let result = match cli.command {
         #[cfg(feature = "simulator")]
         Subcommand::Explore(args) => explore::run(&args).map(|()| ExitCode::SUCCESS),
@@ -54,11 +46,23 @@ fn main() -> ExitCode {
         Subcommand::Resume(args) => give(Task::Explore, &args),
         Subcommand::Buffer(args) => buffer::run(&args),
         Subcommand::Model(args) => model::run(&args),
+        Subcommand::Completions { shell } => {
+            manual::completions(shell);
+            Ok(ExitCode::SUCCESS)
+        }
+        Subcommand::ManPages { dir } => manual::man_pages(&dir).map(|()| ExitCode::SUCCESS),
     };
-    result.unwrap_or_else(|error| {
-        eprintln!("error: {}", failure::sentence(&error));
+    let code = result.unwrap_or_else(|error| {
+        output::print_error(format_args!("error: {}\n", failure::sentence(&error)));
         ExitCode::from(if error.is::<ConfigError>() { MISUSED } else { FAILED })
-    })
+    });
+    match output::finish() {
+        Ok(()) => code,
+        Err(error) => {
+            output::print_error(format_args!("error: cannot write to standard output: {error}\n"));
+            ExitCode::from(FAILED)
+        }
+    }
 }
 
 fn give(task: Task, args: &TaskArgs) -> Result<ExitCode> {
@@ -81,6 +85,8 @@ fn disable_onnx_runtime_telemetry() {
         let error = Command::new(program).arg0(name).args(args).env(VARIABLE, "1").exec();
         // Running with telemetry is better than not running. The systemd unit sets the variable, so
         // this cannot happen there.
-        eprintln!("warning: cannot set {VARIABLE} ({error}): ONNX Runtime may send telemetry");
+        output::print_error(format_args!(
+            "warning: cannot set {VARIABLE} ({error}): ONNX Runtime may send telemetry\n"
+        ));
     }
 }

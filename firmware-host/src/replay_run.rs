@@ -16,6 +16,7 @@ use runtime::tick::Decision;
 use crate::cli::{ReplayArgs, RunModels};
 use crate::config::Config;
 use crate::model::Store;
+use crate::output::Output;
 use crate::replay::{Moment, Replayable, Run, Span, replay};
 use crate::setup::{self, Mission};
 
@@ -111,7 +112,7 @@ impl Replayable for Loop {
 pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     let span = Span { from: args.from, until_mismatch: args.until_mismatch };
     let build = |header: &RunHeader| build(&args.run, header, &args.models);
-    let report = replay(&args.run, span, build, &mut std::io::stdout().lock())?;
+    let report = replay(&args.run, span, build, &mut Output)?;
     Ok(if report.is_exact() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 

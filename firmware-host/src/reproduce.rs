@@ -14,6 +14,7 @@ use runtime::event::{Event, SafetyEvent};
 use runtime::recording::{RecordedTick, RecordingWriter, SegmentHeader, Views, sentence};
 
 use crate::cli::ReproduceArgs;
+use crate::output::Output;
 use crate::replay::{Moment, Run, Span, open_segment, replay, segments};
 use crate::replay_run::build;
 
@@ -47,7 +48,7 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
         &args.out,
         Span::default(),
         |header| build(&args.out, header, &args.models),
-        &mut std::io::stdout().lock(),
+        &mut Output,
     )?;
     Ok(if report.is_exact() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

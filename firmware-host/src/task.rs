@@ -6,7 +6,7 @@
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use runtime::task::Task;
 
 use crate::failure::sentence;
@@ -17,8 +17,16 @@ use crate::report::atomic::write_atomically;
 /// # Errors
 /// When the file cannot be written.
 pub fn give(task: Task, path: &Path) -> Result<()> {
-    write_atomically(path, &serde_json::to_vec(&task.check()?)?)
-        .context("is the robot running, and may you write there?")?;
+    let json = serde_json::to_vec(&task.check()?)?;
+    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        ensure!(
+            folder.is_dir(),
+            "no robot takes tasks at {}: is `firmware-host run` running? If its configuration has another run.task_file, \
+             give that by --task-file",
+            path.display()
+        );
+    }
+    write_atomically(path, &json).context("is the robot running, and may you write there?")?;
     println!("{}: the robot takes it with its next tick", path.display());
     Ok(())
 }

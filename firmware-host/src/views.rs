@@ -54,7 +54,7 @@ impl Approach {
 /// If the scene or the configuration cannot be read, or the output folder cannot be written.
 pub fn run(args: &ViewsArgs) -> Result<()> {
     let config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
-    let world = World::open(&args.scene, &simulation::open_options(&args.scene_file, &config))?;
+    let world = simulation::open(&args.scene, &args.scene_file, &config)?;
     let mut dump = Dump::create(&args.out, &config.camera.model())?;
     let mut rng = Pcg64Mcg::seed_from_u64(args.seed);
     let mut progress = Progress::start(args.count);

@@ -288,8 +288,222 @@ fn the_printed_defaults_are_a_valid_configuration() {
     let printed = firmware_host(&["check"]);
     assert!(printed.status.success());
     let config = dir.path().join("robot.toml");
-    std::fs::write(&config, &printed.stdout).unwrap();
+    // The endpoints of the robot's own motors are the only values that nobody else can know.
+    let mut endpoints = 0;
+    let completed: Vec<String> = text(&printed.stdout)
+        .lines()
+        .map(|line| {
+            let is_endpoint = line.ends_with("_endpoint = 0");
+            endpoints += u32::from(is_endpoint);
+            if is_endpoint { line.replace("= 0", "= 195") } else { line.to_owned() }
+        })
+        .collect();
+    assert_eq!(endpoints, 2);
+    std::fs::write(&config, completed.join("\n")).unwrap();
     assert!(firmware_host(&["check", "--config", config.to_str().unwrap()]).status.success());
+}
+
+#[test]
+fn check_refuses_what_run_refuses_and_run_leaves_no_recording_of_it() {
+    let dir = TempDir::new().unwrap();
+    let endpoints =
+        "[devices.base.odrive]\nenable_watchdog_endpoint = 195\nwatchdog_timeout_endpoint = 196\n";
+    let cases = [
+        ("[devices.base]\nwheel_radius_m = 50\n".to_owned() + endpoints, "wheel_radius_m"),
+        ("[devices.base]\nbus = \"can0\"\n".to_owned(), "flat_endpoints.json"),
+        ("[devices.lens]\nfx = 0\n".to_owned() + endpoints, "devices.lens.fx"),
+        ("[devices.lens]\ncx = -90000\n".to_owned() + endpoints, "[devices.lens]"),
+    ];
+    for (content, named) in cases {
+        let config = dir.path().join("robot.toml");
+        std::fs::write(&config, &content).unwrap();
+        let config = config.to_str().unwrap();
+        let out = dir.path().join("run");
+        for command in [
+            &["check", "--config", config][..],
+            &["run", "--config", config, "--out", out.to_str().unwrap()],
+        ] {
+            let refused = firmware_host(command);
+            let said = text(&refused.stderr);
+            assert!(refused.status.code() == Some(2) && said.contains(named), "{content}{said}");
+        }
+        assert!(!out.exists(), "{content}");
+    }
+}
+
+#[test]
+fn a_configuration_without_devices_is_valid_and_check_says_that_run_needs_them() {
+    let dir = TempDir::new().unwrap();
+    let config = dir.path().join("robot.toml");
+    std::fs::write(&config, SMALL).unwrap();
+    let check = firmware_host(&["check", "--config", config.to_str().unwrap()]);
+    let said = text(&check.stdout);
+    assert!(check.status.success() && said.contains("`run` needs a section [devices]"), "{said}");
+}
+
+#[test]
+fn completions_and_man_pages_name_every_command() {
+    let dir = TempDir::new().unwrap();
+    for shell in ["bash", "zsh", "fish"] {
+        let script = firmware_host(&["completions", shell]);
+        let script = text(&script.stdout);
+        assert!(script.contains("camera-latency") && script.contains("model-store"), "{shell}");
+    }
+    let pages = dir.path().join("man1");
+    let made = firmware_host(&["man-pages", pages.to_str().unwrap()]);
+    assert!(made.status.success(), "{}", text(&made.stderr));
+    let run = std::fs::read_to_string(pages.join("firmware-host-run.1")).unwrap();
+    assert!(run.contains("SIGTERM"), "{run}");
+    assert!(std::fs::read_to_string(pages.join("firmware-host.1")).unwrap().contains("RUST_LOG"));
+}
+
+#[test]
+fn bash_completes_commands_and_the_options_of_a_command() {
+    let script = firmware_host(&["completions", "bash"]).stdout;
+    // The words of the line, and the words that complete the last one.
+    for (line, expected) in
+        [("firmware-host camera", "camera-latency"), ("firmware-host run --keep", "--keep-out")]
+    {
+        let words: Vec<&str> = line.split(' ').collect();
+        let ask = format!(
+            "{}\nCOMP_WORDS=({line}); COMP_CWORD={}\n$(complete -p firmware-host | sed 's/.*-F \\([^ ]*\\).*/\\1/') \
+             firmware-host {} {}\necho \"${{COMPREPLY[@]}}\"",
+            text(&script),
+            words.len() - 1,
+            words[words.len() - 1],
+            words[words.len() - 2],
+        );
+        let bash = std::process::Command::new("bash").args(["-c", &ask]).output().unwrap();
+        assert_eq!(text(&bash.stdout).trim(), expected, "{line}: {}", text(&bash.stderr));
+    }
+}
+
+#[test]
+fn quiet_exploration_shows_no_progress_and_still_its_summary() {
+    let dir = TempDir::new().unwrap();
+    let (shown, _) = explore(&dir, "shown", &HOME);
+    assert!(text(&shown.stderr).contains("60/60 frames"), "{}", text(&shown.stderr));
+    let (quiet, _) = explore(&dir, "quiet", &[&HOME[..], &["--quiet"]].concat());
+    assert_eq!(text(&quiet.stderr), "");
+    assert!(text(&quiet.stdout).contains("coverage"), "{}", text(&quiet.stdout));
+}
+
+#[test]
+#[cfg(not(feature = "lerobot"))]
+fn a_build_without_lerobot_says_which_build_has_it() {
+    let dir = TempDir::new().unwrap();
+    let (_, run) = explore(&dir, "run", &HOME);
+    let out = dir.path().join("dataset");
+    let [run, out] = [&run, &out].map(|path| path.to_str().unwrap());
+    let refused = firmware_host(&["buffer", "export", run, "--as", "lerobot", "--out", out]);
+    let said = text(&refused.stderr);
+    assert!(refused.status.code() == Some(1) && said.contains("--features lerobot"), "{said}");
+}
+
+#[test]
+fn a_task_without_a_robot_and_a_list_without_a_store_create_nothing_and_say_what_to_give() {
+    let dir = TempDir::new().unwrap();
+    let nowhere = dir.path().join("nowhere");
+    let task = nowhere.join("task.json");
+    let [folder, task] = [&nowhere, &task].map(|path| path.to_str().unwrap());
+    for (command, named) in [
+        (&["return", "--task-file", task][..], "--task-file"),
+        (&["model", "list", "--store", folder], "there is no model store at"),
+        (&["model", "rollback", "--store", folder], "there is no model store at"),
+    ] {
+        let refused = firmware_host(command);
+        let said = text(&refused.stderr);
+        assert!(refused.status.code() == Some(1) && said.contains(named), "{command:?}: {said}");
+        assert!(!nowhere.exists(), "{command:?}");
+    }
+}
+
+/// Runs a command, reads nothing of what it prints, and returns its exit code and standard error.
+fn with_closed_output(args: &[&str]) -> (Option<i32>, String) {
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let output = std::process::Command::new(assert_cmd::cargo::cargo_bin("firmware-host"))
+        .args(args)
+        .stdout(writer)
+        .stderr(std::process::Stdio::piped())
+        .output()
+        .unwrap();
+    (output.status.code(), text(&output.stderr))
+}
+
+#[test]
+fn commands_whose_output_nobody_reads_do_their_work_and_do_not_panic() {
+    let dir = TempDir::new().unwrap();
+    let (run, out) = explore(&dir, "run", &HOME);
+    assert!(run.status.success());
+    let status = dir.path().join("status.json");
+    std::fs::write(&status, "{\"pid\": 1}").unwrap();
+    let map = dir.path().join("home.map");
+    let exported = dir.path().join("exported");
+    let bug = dir.path().join("bug.mcap");
+    let [out, status, map, exported, bug] =
+        [&out, &status, &map, &exported, &bug].map(|path| path.to_str().unwrap());
+    let commands: [(&[&str], i32); 11] = [
+        (&["check"], 0),
+        (&["health", "--json", "--status", status], 1),
+        (&["health", "--status", status], 1),
+        (&["health", "--watch", "--status", status], 0),
+        (&["buffer", "list", out], 0),
+        (&["buffer", "verify", out], 0),
+        (&["replay", out], 0),
+        (&["reproduce", out, "--at", "30", "--out", bug], 0),
+        (&["map", "save", out, "--out", map], 0),
+        (&["map", "show", map], 0),
+        (&["map", "export", map, "--out", exported], 0),
+    ];
+    for (command, code) in commands {
+        assert_eq!(with_closed_output(command), (Some(code), String::new()), "{command:?}");
+    }
+    assert!(dir.path().join("exported/map.pgm").exists());
+}
+
+#[test]
+fn output_that_does_not_fit_on_the_disk_is_an_error() {
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let check = std::process::Command::new(assert_cmd::cargo::cargo_bin("firmware-host"))
+        .arg("check")
+        .stdout(full)
+        .stderr(std::process::Stdio::piped())
+        .output()
+        .unwrap();
+    let said = text(&check.stderr);
+    assert!(
+        check.status.code() == Some(1) && said.contains("cannot write to standard output"),
+        "{said}"
+    );
+}
+
+#[test]
+fn explore_that_is_ended_by_a_signal_writes_its_summary() {
+    use rustix::process::{Pid, Signal, kill_process};
+    for signal in [Signal::INT, Signal::TERM, Signal::HUP] {
+        let dir = TempDir::new().unwrap();
+        let config = dir.path().join("robot.toml");
+        std::fs::write(&config, SMALL).unwrap();
+        let out = dir.path().join("run");
+        let mut run = std::process::Command::new(assert_cmd::cargo::cargo_bin("firmware-host"))
+            .args(["explore", "--frames", "100000", "--config", config.to_str().unwrap()])
+            .args(HOME)
+            .args(["--out", out.to_str().unwrap()])
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        while !out.join("recording_0000.mcap").exists() {
+            std::thread::yield_now();
+        }
+        let mut clock = monotonic_clock::MonotonicClock;
+        let then_ns = clock.now_ns() + 500_000_000;
+        clock.sleep_until_ns(then_ns);
+        kill_process(Pid::from_raw(run.id() as i32).unwrap(), signal).unwrap();
+        assert!(run.wait().unwrap().success(), "{signal:?}");
+        assert_eq!(summary(&out)["end_reason"], "interrupted", "{signal:?}");
+    }
 }
 
 #[test]
@@ -490,12 +704,14 @@ fn a_run_with_injected_faults_lists_them_and_its_recording_replays_without_injec
 #[test]
 fn an_injected_full_disk_ends_the_run_with_a_summary_and_a_readable_recording() {
     let dir = TempDir::new().unwrap();
-    let (_, out) = explore(
+    let (run, out) = explore(
         &dir,
         "full",
         &[&HOME[..], &["--fault", "disk:full@2..", "--fault", "disk:slow=1"]].concat(),
     );
     assert_eq!(summary(&out)["end_reason"], "output_failed");
+    let said = text(&run.stderr);
+    assert!(run.status.code() == Some(1) && said.contains("not recorded to its end"), "{said}");
     let replayed = firmware_host(&["replay", out.to_str().unwrap()]);
     assert!(text(&replayed.stdout).contains("mismatches=0"), "{}", text(&replayed.stdout));
 }

@@ -512,3 +512,81 @@ fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out
     let store = scene.path("models");
     scene.ends_and_replays(&[Path::new("--model-store"), &store]);
 }
+
+/// Waits until the robot has run for this long, seconds.
+fn runs_for(folder: &Path, seconds: f64) {
+    let began = Instant::now();
+    while Status::read(&folder.join("status.json")).map_or(0.0, |status| status.uptime_s) < seconds
+    {
+        assert!(began.elapsed() < PATIENCE, "it does not run");
+        pause(20);
+    }
+}
+
+/// A robot none of whose devices is there.
+fn without_devices(folder: &Path) -> Command {
+    let config = format!(
+        "[run]\nstatus_file = \"{0}/status.json\"\ntask_file = \"{0}/task.json\"\nstop_file = \"{0}/stop.json\"\n\
+         [devices.camera]\ndevice = \"{0}/camera\"\n[devices.lidar]\nport = \"{0}/lidar\"\n\
+         [devices.base]\nbus = \"unix:{0}/can\"\nprotocol = \"vesc\"\n",
+        folder.display()
+    );
+    std::fs::write(folder.join("robot.toml"), config).unwrap();
+    let mut run = Command::cargo_bin("firmware-host").unwrap();
+    run.args(["run", "--config"])
+        .arg(folder.join("robot.toml"))
+        .arg("--out")
+        .arg(folder.join("run"));
+    run
+}
+
+fn ends(mut robot: Child) -> std::process::Output {
+    kill_process(Pid::from_raw(robot.id() as i32).unwrap(), Signal::TERM).unwrap();
+    assert!(robot.wait().unwrap().success());
+    robot.wait_with_output().unwrap()
+}
+
+#[test]
+fn a_robot_without_devices_says_which_are_missing_and_names_no_map_that_it_has_not_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = without_devices(folder.path());
+    let robot = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    runs_for(folder.path(), 3.0);
+    let output = ends(robot);
+    let said = String::from_utf8_lossy(&output.stderr);
+    for device in ["camera", "LiDAR", "base"] {
+        let report = format!("supervision: {device} ");
+        assert_eq!(said.matches(&report).count(), 1, "{device}: {said}");
+    }
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("has mapped nothing") && !said.contains("map.png"), "{said}");
+    assert!(!folder.path().join("run/map.png").exists());
+}
+
+#[test]
+fn a_robot_whose_terminal_was_closed_goes_on_and_ends_with_its_summary() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = without_devices(folder.path());
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let robot = run.stdout(writer.try_clone().unwrap()).stderr(writer).spawn().unwrap();
+    runs_for(folder.path(), 3.0);
+    ends(robot);
+    assert!(folder.path().join("run/summary.json").exists());
+}
+
+#[test]
+fn a_robot_that_was_started_by_nohup_goes_on_without_its_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = without_devices(folder.path());
+    let mut nohup = Command::new("sh");
+    nohup
+        .args(["-c", "trap '' HUP; exec \"$@\"", "sh"])
+        .arg(run.get_program())
+        .args(run.get_args());
+    let robot = nohup.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    runs_for(folder.path(), 1.0);
+    kill_process(Pid::from_raw(robot.id() as i32).unwrap(), Signal::HUP).unwrap();
+    runs_for(folder.path(), 3.0);
+    ends(robot);
+}

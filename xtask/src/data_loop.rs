@@ -121,8 +121,8 @@ impl Demo {
         pull.arg(format!("robot=127.0.0.1:{}", self.robot.join("runs").display()))
             .arg(self.pulled())
             .arg("--follow");
-        pull.arg(format!("--remote-command={}", self.programs.join("firmware-host").display()));
-        pull.args(self.ssh.iter().map(|option| format!("--ssh-option={option}")));
+        pull.arg(format!("--program={}", self.programs.join("firmware-host").display()));
+        pull.args(self.ssh.iter().map(|option| format!("--ssh={option}")));
         let pull = Running::start("pull", &mut pull)?;
 
         step(

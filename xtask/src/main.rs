@@ -143,9 +143,8 @@ enum Chore {
         targets: Vec<String>,
     },
     /// Check that the safety plane's tests detect every mutant of its code. Takes an hour on one core.
-    #[command(disable_help_flag = true)]
     Mutants {
-        /// Options of `cargo mutants`.
+        /// Options of `cargo mutants`, such as `--shard 0/20`; `cargo mutants --help` lists them.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
@@ -197,5 +196,21 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
             );
             Ok(())
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::error::ErrorKind;
+
+    #[test]
+    fn help_about_mutants_runs_no_mutants_and_their_options_are_passed_on() {
+        let help = Chore::try_parse_from(["xtask", "mutants", "--help"]).err();
+        assert_eq!(help.map(|error| error.kind()), Some(ErrorKind::DisplayHelp));
+        let chore = Chore::try_parse_from(["xtask", "mutants", "--shard", "0/20"]);
+        assert!(
+            matches!(chore, Ok(Chore::Mutants { arguments }) if arguments == ["--shard", "0/20"])
+        );
     }
 }

@@ -154,10 +154,28 @@ fn at_least_the_acceleration(
 impl OdriveConfig {
     /// Without both endpoints the driver cannot set and confirm the watchdog.
     fn require_endpoints(&self) -> Result<(), CanError> {
-        let enable = f64::from(self.enable_watchdog_endpoint);
-        within("odrive.enable_watchdog_endpoint", enable, 1.0, 65535.0)?;
-        let timeout = f64::from(self.watchdog_timeout_endpoint);
-        within("odrive.watchdog_timeout_endpoint", timeout, 1.0, 65535.0)
+        let endpoints = [
+            (
+                "odrive.enable_watchdog_endpoint",
+                self.enable_watchdog_endpoint,
+                "axis0.config.enable_watchdog",
+            ),
+            (
+                "odrive.watchdog_timeout_endpoint",
+                self.watchdog_timeout_endpoint,
+                "axis0.config.watchdog_timeout",
+            ),
+        ];
+        match endpoints.into_iter().find(|(_, number, _)| *number == 0) {
+            None => Ok(()),
+            Some((field, number, property)) => Err(CanError::Config {
+                field,
+                value: number.to_string(),
+                allowed: format!(
+                    "1 to 65535, the number of {property} in flat_endpoints.json of your firmware"
+                ),
+            }),
+        }
     }
 }
 

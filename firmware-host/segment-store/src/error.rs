@@ -58,7 +58,7 @@ pub enum StoreError {
     /// The peer closed the connection before it sent anything.
     #[error(
         "{from} ended without an answer{status}; its own messages are above; check that firmware-host is installed there, \
-         or give its path with --remote-command"
+         or give its path with --program"
     )]
     Silent {
         from: String,

@@ -130,8 +130,7 @@ fn output_of_a_shell_is_reported_as_the_cause() {
     );
     let error = Remote::greet("robot", Cursor::new(Vec::new()), Vec::new(), 1).err().unwrap();
     assert!(
-        matches!(error, StoreError::Silent { .. })
-            && error.to_string().contains("--remote-command"),
+        matches!(error, StoreError::Silent { .. }) && error.to_string().contains("--program"),
         "{error}"
     );
 }

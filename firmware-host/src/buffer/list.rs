@@ -8,6 +8,7 @@ use segment_store::{Catalogue, Entry, Pulled, State};
 use serde_json::{Value, json};
 
 use super::detect_unlocked;
+use crate::report::fit;
 
 pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
     let (root, mut catalogue) = Catalogue::open(dir)?;
@@ -22,7 +23,7 @@ pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
         "{} contains no recording_NNNN.mcap; give a directory of runs, or the --out directory of one run",
         dir.display()
     );
-    println!("{}", table(&catalogue));
+    println!("{}", fit::table(&table(&catalogue), fit::columns()));
     let segments = &catalogue.entries;
     let bytes: u64 = segments.iter().map(|entry| entry.bytes).sum();
     let pulled = segments.iter().filter(|entry| entry.pulled_digest().is_some()).count();

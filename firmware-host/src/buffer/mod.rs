@@ -206,6 +206,10 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
                 done.left_out
             );
         }
+        #[cfg(not(feature = "lerobot"))]
+        ExportLayout::Lerobot => bail!(
+            "this build has no LeRobot export: `cargo install --path firmware-host --features lerobot` on the workstation has it"
+        ),
     }
     Ok(())
 }

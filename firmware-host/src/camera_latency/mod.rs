@@ -8,8 +8,6 @@
 mod rotation;
 mod shift;
 
-use std::io::Write;
-
 use anyhow::{Context, Result, bail};
 use drivers::v4l2::CameraDeviceConfig;
 
@@ -44,7 +42,7 @@ pub fn run(args: &CameraLatencyArgs) -> Result<()> {
         camera.latency_ms = 0.0;
     }
     let (heading, rotations) = read(&recording)?;
-    writeln!(std::io::stdout(), "{}", report(&fit(&heading, &rotations)?, &camera))?;
+    println!("{}", report(&fit(&heading, &rotations)?, &camera));
     Ok(())
 }
 

@@ -4,6 +4,7 @@ mod devices;
 mod nearby;
 mod view;
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
@@ -11,6 +12,7 @@ use comfy_table::{ContentArrangement, Table, presets::NOTHING};
 
 use crate::cli::CheckArgs;
 use crate::config::{Config, DEFAULT_FILE};
+use crate::report::fit;
 use crate::run::status::{STALE_S, Status, unix_s};
 use devices::Finding;
 use view::View;
@@ -26,27 +28,43 @@ pub fn run(args: &CheckArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     };
     let config = Config::load(path)?;
+    let real_robot = config.check_devices(path);
     if !args.devices {
+        // A file without devices is for `explore`, which does not use them.
+        let remark = match real_robot {
+            Ok(()) => "",
+            Err(_) if !names_devices(path)? => {
+                " It is for `explore`: `run` needs a section [devices]."
+            }
+            Err(error) => return Err(error.into()),
+        };
         print!(
-            "# {} is valid.\n{}\n# Effective configuration:\n\n{}",
+            "# {} is valid.{remark}\n{}\n# Effective configuration:\n\n{}",
             path.display(),
             comments(&View::new(&config)),
             config.to_toml()?
         );
         return Ok(ExitCode::SUCCESS);
     }
-    config.check_devices(path)?;
+    real_robot?;
     refuse_beside_a_running_robot(&config)?;
     let findings = devices::test_all(&config);
-    println!("{} is valid. Devices:\n\n{}", path.display(), screen(&findings));
+    let columns = fit::columns();
+    println!("{} is valid. Devices:\n\n{}", path.display(), screen(&findings, columns));
     for sentence in View::new(&config).sentences() {
-        println!("    view: {sentence}");
+        println!("{}", fit::text(&format!("    view: {sentence}"), columns));
     }
     Ok(if findings.iter().all(|finding| finding.is_usable) {
         ExitCode::SUCCESS
     } else {
         ExitCode::FAILURE
     })
+}
+
+/// Whether the file has a section about the devices of a real robot.
+fn names_devices(path: &Path) -> Result<bool> {
+    let table: toml::Table = std::fs::read_to_string(path)?.parse()?;
+    Ok(table.contains_key("devices"))
 }
 
 /// What is not seen, as comments of a configuration file.
@@ -71,14 +89,14 @@ fn refuse_beside_a_running_robot(config: &Config) -> Result<()> {
     Ok(())
 }
 
-fn screen(findings: &[Finding]) -> String {
+fn screen(findings: &[Finding], columns: Option<usize>) -> String {
     let mut table = Table::new();
     table.load_preset(NOTHING).set_content_arrangement(ContentArrangement::Disabled);
     table.set_header(["device", "path", "state", "details"]);
     for finding in findings {
         table.add_row([finding.device, &finding.path, &finding.state, &finding.details]);
     }
-    let mut text = table.to_string();
+    let mut text = fit::table(&table, columns);
     for finding in findings.iter().filter(|finding| !finding.advice.is_empty()) {
         text += "\n";
         let mark = if finding.is_usable { ' ' } else { '!' };
@@ -88,7 +106,7 @@ fn screen(findings: &[Finding]) -> String {
             text += &format!("\n  {mark} {}: {line}", finding.device);
         }
     }
-    text
+    fit::text(&text, columns)
 }
 
 #[cfg(test)]
@@ -113,7 +131,7 @@ mod tests {
             details: String::new(),
             advice: vec!["plug it in".to_owned()],
         };
-        let text = screen(&[lidar, base]);
+        let text = screen(&[lidar, base], None);
         assert!(
             text.lines().nth(1).unwrap().contains("LiDAR") && text.contains("UTM-30LX"),
             "{text}"

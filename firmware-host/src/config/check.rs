@@ -1,6 +1,7 @@
 //! Compares a file with the declarations of the keys, and checks the rules between keys.
 
 use hal::settings::{Key, Kind, Range, Section};
+use runtime::imaging::{FrontEnd, YuvRange};
 use toml::de::{DeTable, DeValue};
 
 use super::{Config, Problem};
@@ -204,10 +205,19 @@ pub(super) fn devices(config: &Config) -> Vec<Problem> {
     let devices = &config.devices;
     refused([
         ("devices.camera", devices.camera.check().map_err(|error| error.to_string())),
-        ("devices.lens", devices.camera_model().map(|_| ())),
+        ("devices.lens", frames_can_be_converted(config)),
         ("devices.lidar", devices.lidar.validate().map_err(|error| error.to_string())),
         ("devices.base", devices.base.validate().map_err(|error| error.to_string())),
     ])
+}
+
+/// The camera's frames must show a part of what perception works on.
+fn frames_can_be_converted(config: &Config) -> Result<(), String> {
+    let source = config.devices.camera_model()?;
+    let format = config.devices.camera.format.pixels();
+    FrontEnd::new(source, config.camera.model(), format, YuvRange::Limited)
+        .map(drop)
+        .map_err(|error| error.to_string())
 }
 
 fn refused<const N: usize>(results: [(&str, Result<(), String>); N]) -> Vec<Problem> {

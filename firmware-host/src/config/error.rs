@@ -10,7 +10,7 @@ use std::{
 #[non_exhaustive]
 pub enum ConfigError {
     /// The file cannot be read.
-    #[error("cannot read the configuration {}: {source}", path.display())]
+    #[error("cannot read the configuration {}: {source}; `firmware-host check > robot.toml` writes one to begin with", path.display())]
     Unreadable { path: PathBuf, source: std::io::Error },
     /// The file is not TOML, or serde refused a value.
     #[error("{}: {message}", path.display())]

@@ -21,6 +21,7 @@ use simulator::robot::Truth as World;
 use super::devices::{SimulatedDevices, simulated_devices};
 use super::hand_over::{HandOver, Round};
 use super::map_plot::reachable_cells;
+use super::narration::Narrator;
 use super::shots::Shots;
 use super::{map_accuracy, map_plot};
 use crate::cli::ExploreArgs;
@@ -44,6 +45,7 @@ pub(super) struct Exploration {
     out: PathBuf,
     frames: u64,
     until_done: bool,
+    quiet: bool,
     session: Session<SimulatedDevices>,
     /// The source of better networks, if there is one.
     pub hand_over: Option<HandOver>,
@@ -136,6 +138,7 @@ impl Exploration {
             out: args.out.clone(),
             frames: args.frames,
             until_done: args.until_done,
+            quiet: args.quiet,
             session: Session::new(devices, robot, port, config.base.tick_ns()),
             hand_over: None,
             log,
@@ -152,7 +155,9 @@ impl Exploration {
 
     /// Runs the loop to its end.
     pub fn explore(&mut self) -> Result<ExploreEnd> {
-        let mut progress = Progress::start(self.frames);
+        let mut progress =
+            if self.quiet { Progress::hidden() } else { Progress::start(self.frames) };
+        let mut narrator = Narrator::default();
         let mut end = ExploreEnd::FrameBudget;
         for tick in 0..self.frames {
             if !self.take_network(tick)? || self.interrupted.load(Ordering::Relaxed) {
@@ -162,7 +167,14 @@ impl Exploration {
             self.log.stopwatch.start();
             self.session.wait();
             match self.session.tick(&mut self.log) {
-                Ok(_) => self.done = tick + 1,
+                Ok(decision) => {
+                    self.done = tick + 1;
+                    let wall_s = self.log.began.elapsed().as_secs_f64();
+                    let line = decision.and_then(|decision| narrator.line(&decision, wall_s));
+                    if let Some(line) = line {
+                        progress.say(&line);
+                    }
+                }
                 Err(Failure::Recording(error)) => {
                     tracing::error!(%error, "the recording has failed; the run ends");
                     end = ExploreEnd::OutputFailed;
@@ -220,8 +232,8 @@ impl Exploration {
         Ok(came)
     }
 
-    /// Writes summary and plots, and prints the summary.
-    pub fn report(self, end: ExploreEnd, mut summary: Summary) -> Result<()> {
+    /// Writes summary and plots, and prints the summary. Returns why the run ended.
+    pub fn report(self, end: ExploreEnd, mut summary: Summary) -> Result<ExploreEnd> {
         let Self { out, session, log, done, .. } = self;
         let (devices, robot) = session.into_parts();
         devices.into_clock().into_inner().shut_down();
@@ -284,7 +296,7 @@ impl Exploration {
         if summary.recording_mib.is_some() {
             println!("Open {}/recording_0000.mcap in Foxglove or Rerun.", out.display());
         }
-        Ok(())
+        Ok(end)
     }
 }
 
@@ -410,7 +422,7 @@ impl RunLog {
     }
 }
 
-/// Makes Ctrl-C end the run after the current tick, with a report.
+/// Makes Ctrl-C, SIGTERM and SIGHUP end the run after the current tick, with a report.
 fn stop_on_interrupt() -> Arc<AtomicBool> {
     let interrupted = Arc::new(AtomicBool::new(false));
     let flag = interrupted.clone();

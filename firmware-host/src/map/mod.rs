@@ -63,7 +63,8 @@ fn open(path: &Path, models: &RunModels) -> Result<MapFile> {
 
 /// Whether this is a file that begins as map files do. A directory is a run.
 fn is_map_file(path: &Path) -> Result<bool> {
-    let cannot_read = || format!("cannot read {}", path.display());
+    let cannot_read =
+        || format!("cannot read {}; give a map file, or the --out folder of a run", path.display());
     if path.metadata().with_context(cannot_read)?.is_dir() {
         return Ok(false);
     }
@@ -101,7 +102,8 @@ fn show(path: &Path) -> Result<()> {
         "robot       at ({:.2}, {:.2}) m, {:.0} degrees, when the map was saved",
         at.x_m,
         at.y_m,
-        at.yaw_rad.to_degrees()
+        // Adding 0 makes -0 to 0.
+        at.yaw_rad.to_degrees().round() + 0.0
     );
     Ok(())
 }

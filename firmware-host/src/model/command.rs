@@ -151,21 +151,36 @@ pub fn run(args: &ModelArgs) -> Result<ExitCode> {
     let config = config_path.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
     match &args.command {
         ModelCommand::Install(install) => self::install(args, install, config_path, &config),
-        ModelCommand::List => list(&open(args, &config)?, args.json),
+        ModelCommand::List => list(&open_existing(args, &config)?, args.json),
         ModelCommand::Verify(verify) => self::verify(args, verify, &config),
         ModelCommand::Rollback(rollback) => {
-            roll_back(&mut open(args, &config)?, &rollback.why, args.json)
+            roll_back(&mut open_existing(args, &config)?, &rollback.why, args.json)
         }
         ModelCommand::Examine(_) | ModelCommand::Keygen { .. } => Ok(ExitCode::FAILURE),
     }
 }
 
+/// The store. It is created if it is missing.
 fn open(args: &ModelArgs, config: &Config) -> Result<Store> {
+    Ok(Store::open(folder(args, config)?)?)
+}
+
+/// The store for a command that makes no sense without one.
+fn open_existing(args: &ModelArgs, config: &Config) -> Result<Store> {
+    let dir = folder(args, config)?;
+    if !dir.is_dir() {
+        bail!(
+            "there is no model store at {}; `model install`, or a run with models.store, creates it",
+            dir.display()
+        );
+    }
+    Ok(Store::open(dir)?)
+}
+
+fn folder<'a>(args: &'a ModelArgs, config: &'a Config) -> Result<&'a Path> {
     match &args.store {
-        Some(dir) => Ok(Store::open(dir)?),
-        None if !config.models.store.is_empty() => {
-            Ok(Store::open(Path::new(&config.models.store))?)
-        }
+        Some(dir) => Ok(dir),
+        None if !config.models.store.is_empty() => Ok(Path::new(&config.models.store)),
         None => bail!(
             "no model store is configured; give --store DIR, or set models.store in the configuration"
         ),

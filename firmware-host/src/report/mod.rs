@@ -10,6 +10,7 @@ pub mod coverage;
 pub mod depth_sample;
 pub mod depth_sheet;
 pub mod events;
+pub mod fit;
 pub mod known_cells;
 pub mod latency;
 pub mod map_image;

@@ -6,7 +6,11 @@ use std::{
     time::{Duration, Instant},
 };
 
+use super::fit;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+
+/// On a terminal with fewer columns, the bar is short and leaves out the rate.
+const NARROW: usize = 70;
 
 /// The state of a run that is shown beside the progress.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -40,8 +44,25 @@ impl Progress {
     /// Starts the progress of a run of `total` frames.
     #[must_use]
     pub fn start(total: u64) -> Self {
-        let bar = std::io::stderr().is_terminal().then(|| bar(total, ProgressDrawTarget::stderr()));
+        let columns = fit::columns_of(std::io::stderr());
+        let bar = std::io::stderr()
+            .is_terminal()
+            .then(|| bar(total, ProgressDrawTarget::stderr(), columns));
         Self { total, started: Instant::now(), bar, tenths_shown: 0 }
+    }
+
+    /// Shows nothing.
+    #[must_use]
+    pub fn hidden() -> Self {
+        // All tenths count as shown.
+        Self { total: 0, started: Instant::now(), bar: None, tenths_shown: u64::MAX }
+    }
+
+    /// Prints a line above the bar. Without a terminal there is no bar, and no line either.
+    pub fn say(&self, line: &str) {
+        if let Some(bar) = &self.bar {
+            bar.println(fit::text(line, fit::columns_of(std::io::stderr())));
+        }
     }
 
     /// Shows that `done` frames are done.
@@ -71,9 +92,14 @@ impl Progress {
     }
 }
 
-fn bar(total: u64, on: ProgressDrawTarget) -> ProgressBar {
+/// A bar for a terminal of this width. The message takes what is left of the line.
+fn bar(total: u64, on: ProgressDrawTarget, columns: Option<usize>) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(total), on);
-    let template = "{bar:20} {pos}/{len} frames, {rate}, {eta} left  {wide_msg}";
+    let template = if columns.is_some_and(|columns| columns < NARROW) {
+        "{bar:4} {pos}/{len} {eta} {wide_msg}"
+    } else {
+        "{bar:20} {pos}/{len} frames, {rate}, {eta} left  {wide_msg}"
+    };
     let style =
         ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     // indicatif's own `per_sec` always has four decimals, and any number of digits in the first
@@ -124,13 +150,16 @@ mod tests {
         assert_eq!(line, "100 %  3000/3000 frames, 30.0 frames/s, 0 s left");
     }
 
-    /// A terminal of 78 columns that stores the drawn text.
-    #[derive(Debug, Clone, Default)]
-    struct FakeTerminal(std::sync::Arc<std::sync::Mutex<String>>);
+    /// A terminal that stores the drawn text.
+    #[derive(Debug, Clone)]
+    struct FakeTerminal {
+        columns: u16,
+        text: std::sync::Arc<std::sync::Mutex<String>>,
+    }
 
     impl TermLike for FakeTerminal {
         fn width(&self) -> u16 {
-            78
+            self.columns
         }
         fn move_cursor_up(&self, _: usize) -> io::Result<()> {
             Ok(())
@@ -148,11 +177,11 @@ mod tests {
             self.write_str(text)
         }
         fn write_str(&self, text: &str) -> io::Result<()> {
-            self.0.lock().unwrap().push_str(text);
+            self.text.lock().unwrap().push_str(text);
             Ok(())
         }
         fn clear_line(&self) -> io::Result<()> {
-            self.0.lock().unwrap().clear();
+            self.text.lock().unwrap().clear();
             Ok(())
         }
         fn flush(&self) -> io::Result<()> {
@@ -160,15 +189,27 @@ mod tests {
         }
     }
 
-    #[test]
-    fn the_bar_shows_the_rate_with_one_decimal_and_fits_the_terminal() {
-        let terminal = FakeTerminal::default();
-        let bar = bar(3000, ProgressDrawTarget::term_like(Box::new(terminal.clone())))
-            .with_elapsed(Duration::from_secs(50));
+    /// The bar in the middle of a run on a terminal of this width.
+    fn drawn(columns: u16) -> String {
+        let terminal = FakeTerminal { columns, text: std::sync::Arc::default() };
+        let target = ProgressDrawTarget::term_like(Box::new(terminal.clone()));
+        let bar = bar(3000, target, Some(columns.into())).with_elapsed(Duration::from_secs(50));
         bar.set_message(Status { coverage: Some(0.347), doing: "towards an inconsistency" }.text());
         bar.set_position(1500);
         bar.force_draw();
-        let line = terminal.0.lock().unwrap().clone();
+        terminal.text.lock().unwrap().clone()
+    }
+
+    #[test]
+    fn the_bar_fits_40_columns_and_still_shows_progress_time_and_coverage() {
+        let line = drawn(40);
+        assert!(line.contains("1500/3000") && line.contains("34 % mapped"), "{line:?}");
+        assert!(line.trim_end().chars().count() <= 40, "{line:?}");
+    }
+
+    #[test]
+    fn the_bar_shows_the_rate_with_one_decimal_and_fits_the_terminal() {
+        let line = drawn(78);
         let rate =
             line.split(", ").find_map(|part| part.strip_suffix(" frames/s")).unwrap_or_default();
         assert_eq!(rate.split_once('.').map(|(_, decimals)| decimals.len()), Some(1), "{line:?}");

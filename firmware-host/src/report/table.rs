@@ -1,16 +1,17 @@
-//! The summary as text for a terminal: at most 100 columns, without colours.
+//! The summary as text for a terminal: at most 100 columns, fewer if the terminal has fewer, without colours.
 
 use std::fmt::Write as _;
 
 use comfy_table::{CellAlignment, Table, TableComponent, presets};
 use runtime::{
     accuracy::{AccuracyRows, Metrics},
+    event::{DropReason, ExploreEnd},
     robot::DepthSource,
 };
 
 use super::{
     events::{Reasons, name},
-    percent,
+    fit, percent,
     summary::{LidarLine, Summary},
 };
 use crate::config::Odometry;
@@ -18,21 +19,28 @@ use crate::config::Odometry;
 /// Maximum number of columns.
 const WIDTH: usize = 100;
 
-/// The summary as text that ends with a newline.
+/// The summary as text that ends with a newline, for the terminal behind standard output.
 #[must_use]
 pub fn render(summary: &Summary) -> String {
+    fitted(summary, fit::columns().map_or(WIDTH, |columns| columns.min(WIDTH)))
+}
+
+/// The summary in lines of at most `columns` characters.
+fn fitted(summary: &Summary, columns: usize) -> String {
     let mut text = String::new();
     title(&mut text, summary);
     for (label, value) in facts(summary) {
-        line(&mut text, label, &value);
+        if !value.is_empty() {
+            let _ = writeln!(text, "  {label:<12}  {value}");
+        }
     }
-    if let Some(accuracy) = accuracy(summary) {
-        section(&mut text, &accuracy);
+    let tables = [accuracy(summary), latency(summary)].into_iter().flatten();
+    for table in tables {
+        // One column is for the space before each line.
+        let rows = fit::table(&table, Some(columns - 1));
+        let _ = writeln!(text, "\n {}", rows.replace('\n', "\n "));
     }
-    if let Some(latency) = latency(summary) {
-        section(&mut text, &latency);
-    }
-    text
+    fit::text(&text, Some(columns))
 }
 
 fn title(text: &mut String, summary: &Summary) {
@@ -53,23 +61,6 @@ fn title(text: &mut String, summary: &Summary) {
     let _ = writeln!(text, "{}", parts.join(", "));
 }
 
-/// Writes `  label       value`. A long value is wrapped at spaces and continued in its own column.
-fn line(text: &mut String, label: &str, value: &str) {
-    let mut row = format!("  {label:<11}");
-    let indent = row.len();
-    for word in value.split_whitespace() {
-        if row.chars().count() + 1 + word.chars().count() > WIDTH {
-            let _ = writeln!(text, "{row}");
-            row = " ".repeat(indent);
-        }
-        row.push(' ');
-        row.push_str(word);
-    }
-    if !value.is_empty() {
-        let _ = writeln!(text, "{row}");
-    }
-}
-
 /// Labels and values of all lines. Lines with an empty value are left out.
 fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
     let events = &summary.events;
@@ -80,8 +71,16 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
     let goals = events.goals.clone().unwrap_or_default();
     let [chosen, dropped] =
         [&goals.chosen, &goals.dropped].map(|reasons| reasons.values().sum::<u64>());
-    let goal_counts = (chosen > 0)
-        .then(|| format!("{chosen} chosen, {} reached, {dropped} dropped", goals.reached));
+    // A place that was observed from afar is as good as one that was reached.
+    let mut given_up = goals.dropped.clone();
+    let seen = given_up.remove(&name(&DropReason::Resolved)).unwrap_or(0);
+    let goal_counts = (chosen > 0).then(|| {
+        let given_up = dropped - seen;
+        format!(
+            "{chosen} chosen: {} reached, {seen} seen from afar, {given_up} given up",
+            goals.reached
+        )
+    });
     vec![
         ("frames", frames(summary)),
         (
@@ -90,7 +89,7 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
                 .skipped_ticks
                 .map_or(String::new(), |ticks| format!("{ticks} ticks that would have been late")),
         ),
-        ("ended by", summary.end_reason.map_or(String::new(), |end| name(&end))),
+        ("ended by", summary.end_reason.map_or(String::new(), |end| end_in_words(end).to_owned())),
         ("coverage", coverage(summary)),
         ("map", map(summary)),
         ("pose", pose(summary)),
@@ -105,7 +104,7 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ("stuck", stuck(summary)),
         ("goals", goal_counts.unwrap_or_default()),
         ("chosen for", by_reason(&goals.chosen)),
-        ("dropped for", by_reason(&goals.dropped)),
+        ("given up for", by_reason(&given_up)),
         ("no goal", counted(&events.no_goal, "times")),
         ("no depth", counted(&events.no_depth, "frames")),
         ("lost", counted(&events.lost, "times")),
@@ -124,6 +123,18 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
                 .map_or(String::new(), |digest| format!("digest {}", short(digest))),
         ),
     ]
+}
+
+fn end_in_words(end: ExploreEnd) -> &'static str {
+    match end {
+        ExploreEnd::FrameBudget => "the number of frames that was asked for",
+        ExploreEnd::Explored => "having seen all floor that can be reached",
+        ExploreEnd::Interrupted => "Ctrl-C or a signal",
+        ExploreEnd::OutputFailed => "output that cannot be written",
+        ExploreEnd::DeviceFailed => "a device that failed for good",
+        ExploreEnd::Fell => "a fall over an edge of the floor",
+        _ => "another reason",
+    }
 }
 
 fn frames(summary: &Summary) -> String {
@@ -282,18 +293,10 @@ fn numbers(header: &[&str]) -> Table {
     table
 }
 
-fn section(text: &mut String, table: &Table) {
-    text.push('\n');
-    for row in table.lines() {
-        let _ = writeln!(text, " {}", row.trim_end());
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
 
-    use runtime::event::ExploreEnd;
     use runtime::latency::Percentiles;
 
     use super::*;
@@ -364,16 +367,16 @@ mod tests {
 
     #[test]
     fn every_known_value_is_shown_within_100_columns() {
-        let text = render(&full());
+        let text = fitted(&full(), WIDTH);
         for part in [
             "builtin:house?seed=3, active, seed 7, network depth",
             "3000 in 95.1 s, 31.5 frames/s",
-            "frame_budget",
+            "ended by      the number of frames",
             "83.0 % of 92.4 m2 reachable floor",
             "24 frames, at most 24 in a row",
-            "41 chosen, 30 reached, 11 dropped",
-            "chosen for  31 frontier, 10 inconsistency",
-            "dropped for 7 resolved, 4 no_progress",
+            "41 chosen: 30 reached, 7 seen from afar, 4 given up",
+            "chosen for    31 frontier, 10 inconsistency",
+            "given up for  4 no_progress",
             "210 frames (209 too_little_parallax, 1 first_frame)",
             "3 trips (3 lidar_hit)",
             "network, confident half",
@@ -387,13 +390,21 @@ mod tests {
     }
 
     #[test]
+    fn every_known_value_is_shown_on_a_terminal_of_40_columns_too() {
+        let text = fitted(&full(), 40);
+        assert!(text.lines().all(|line| line.chars().count() <= 40), "{text}");
+        for part in ["abs rel", "network, confident half", "digest", "time per frame (ms):"] {
+            assert!(text.contains(part), "{part} is not in\n{text}");
+        }
+    }
+
+    #[test]
     fn unknown_values_are_left_out() {
-        let text = render(&Summary {
-            frames: 360,
-            dataset: Some("redkitchen".into()),
-            ..Summary::default()
-        });
-        assert_eq!(text, "redkitchen\n  frames      360\n");
+        let text = fitted(
+            &Summary { frames: 360, dataset: Some("redkitchen".into()), ..Summary::default() },
+            WIDTH,
+        );
+        assert_eq!(text, "redkitchen\n  frames        360\n");
     }
 
     #[test]
@@ -402,14 +413,14 @@ mod tests {
             (0..12).map(|index| format!("a_rather_long_reason_{index}")).collect();
         let mut summary = full();
         summary.events.no_depth = many.iter().map(|reason| (reason.clone(), 7)).collect();
-        let text = render(&summary);
+        let text = fitted(&summary, WIDTH);
         assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");
         assert!(many.iter().all(|reason| text.contains(reason)), "{text}");
     }
 
     #[test]
     fn the_columns_of_a_table_are_aligned() {
-        let text = render(&full());
+        let text = fitted(&full(), WIDTH);
         let ends: Vec<usize> = text
             .lines()
             .filter(|line| line.contains(" half ") || line.contains("abs rel"))
@@ -421,8 +432,10 @@ mod tests {
 
     #[test]
     fn ground_truth_depth_is_marked_as_such() {
-        let text =
-            render(&Summary { depth_source: Some(DepthSource::Truth), ..Summary::default() });
+        let text = fitted(
+            &Summary { depth_source: Some(DepthSource::Truth), ..Summary::default() },
+            WIDTH,
+        );
         assert!(text.contains("a test of mapping, not of depth estimation"));
     }
 }

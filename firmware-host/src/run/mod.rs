@@ -5,6 +5,7 @@
 //! ([`runtime::session`]) runs at 10 Hz in the main thread; the operator's thread ([`operator`]) passes signals on to the safety
 //! loop; the recorder writes when the disk allows. Drivers have threads of their own. No loop waits for a device.
 
+mod device_log;
 mod devices;
 mod exploration;
 mod instance_lock;
@@ -250,16 +251,20 @@ fn report(
     }
     summary.write(out)?;
     println!("{}", crate::report::table::render(&summary));
-    draw_map(out, robot, &log.trajectory, &log.trips_m)?;
-    println!("See {0}/map.png; numbers are in {0}/summary.json.", out.display());
+    if draw_map(out, robot, &log.trajectory, &log.trips_m)? {
+        println!("See {0}/map.png; numbers are in {0}/summary.json.", out.display());
+    } else {
+        println!("The robot has mapped nothing; numbers are in {}/summary.json.", out.display());
+    }
     Ok(())
 }
 
-/// Draws the map in `odom`. The position of `odom` in the world is unknown.
-fn draw_map(out: &Path, robot: &Robot, trajectory: &[Pose2], trips: &[[f64; 2]]) -> Result<()> {
-    let Some(cells) = KnownCells::of(robot.map()) else { return Ok(()) };
+/// Draws the map in `odom`, whose position in the world is unknown. `false` if there is no map.
+fn draw_map(out: &Path, robot: &Robot, trajectory: &[Pose2], trips: &[[f64; 2]]) -> Result<bool> {
+    let Some(cells) = KnownCells::of(robot.map()) else { return Ok(false) };
     let map = cells.as_cells();
     let title = "the map as the robot has it";
     let picture = MapPlot { title, figures: "", map, trajectory, goals: &[], trips, truth: None };
-    Ok(picture.write(out)?)
+    picture.write(out)?;
+    Ok(true)
 }

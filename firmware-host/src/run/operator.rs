@@ -134,9 +134,21 @@ impl Signals {
             (SIGUSR2, &signals.stops),
         ];
         for (signal, flag) in flags {
+            // `nohup` ignores SIGHUP: the robot is to go on without its terminal.
+            if signal == SIGHUP && is_ignored(signal) {
+                continue;
+            }
             signal_hook::flag::register(signal, Arc::clone(flag))
                 .context("cannot listen for signals")?;
         }
         Ok(signals)
     }
+}
+
+/// Whether this process was started with the signal ignored. `proc(5)` describes the mask.
+fn is_ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask >> (signal - 1) & 1 == 1
 }

@@ -186,13 +186,27 @@ impl Status {
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| {
             format!(
-                "no status at {}: is `firmware-host run` running? Else give its file by --status",
+                "no status at {}: is `firmware-host run` running? If its configuration has another run.status_file, give \
+                 that by --status",
                 path.display()
             )
         })?;
         let status = serde_json::from_str::<Self>(&text).ok().filter(|status| status.pid > 0);
         status.with_context(|| {
             format!("{} is not a status of this version of `firmware-host run`", path.display())
+        })
+    }
+
+    /// How a person lets the robot move, if it stands only because nobody has armed it yet.
+    #[must_use]
+    pub fn arming(&self) -> Option<String> {
+        let waits = self.safety.state == "disarmed" && !self.safety.needs_person;
+        waits.then(|| {
+            format!(
+                "the robot is disarmed and stands until a person arms it: `kill -USR1 {}`, or for the service \
+                 `sudo systemctl kill --signal=SIGUSR1 embodied-depth`",
+                self.pid
+            )
         })
     }
 
@@ -207,15 +221,9 @@ impl Status {
                 self.pid
             ));
         }
-        for device in [&self.camera, &self.lidar, &self.base] {
-            if device.state != DeviceState::Working.to_string() {
-                let problem = device
-                    .problem
-                    .as_ref()
-                    .map_or_else(String::new, |problem| format!(": {problem}"));
-                worries.push(format!("{} is {}{problem}", device.name, device.state));
-            }
-        }
+        worries.extend(
+            [&self.camera, &self.lidar, &self.base].into_iter().filter_map(DeviceHealth::worry),
+        );
         if self.safety.needs_person {
             let SafetyStatus { state, last_stop, .. } = &self.safety;
             let why = match last_stop {
@@ -250,6 +258,24 @@ impl Status {
                 .map(|failure| format!("nothing is recorded: {failure}")),
         );
         worries
+    }
+}
+
+impl DeviceHealth {
+    /// What is wrong with the device, and its remedy; `None` if it works.
+    #[must_use]
+    pub fn worry(&self) -> Option<String> {
+        if self.state == DeviceState::Working.to_string() {
+            return None;
+        }
+        // Some drivers begin their messages with the name of the device.
+        let problem = self.problem.as_ref().map_or_else(String::new, |problem| {
+            let problem = problem
+                .strip_prefix(&self.name)
+                .map_or(problem.as_str(), |rest| rest.trim_start_matches([':', ' ']));
+            format!(": {problem}")
+        });
+        Some(format!("{} is {}{problem}", self.name, self.state))
     }
 }
 
@@ -336,7 +362,7 @@ mod tests {
     fn every_worry_names_the_thing_and_the_way_out() {
         let mut status = well();
         status.lidar.state = "disconnected".to_owned();
-        status.lidar.problem = Some("/dev/ttyACM0 is not there".to_owned());
+        status.lidar.problem = Some("LiDAR: /dev/ttyACM0 is not there".to_owned());
         status.safety = SafetyStatus {
             state: "fault: bus".to_owned(),
             needs_person: true,

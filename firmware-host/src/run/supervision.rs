@@ -13,6 +13,7 @@ use runtime::recording::fault_reason;
 use runtime::safety::SafetyState;
 use sd_notify::NotifyState;
 
+use super::device_log::DeviceLog;
 use super::exploration::Exploration;
 use super::last_stop::LastStop;
 use super::operator::Operator;
@@ -43,6 +44,7 @@ pub struct Supervision {
     /// Why the last request to arm was void, as far as it was reported.
     lapsed: Option<FaultReason>,
     unwritable: bool,
+    devices: DeviceLog,
 }
 
 impl Supervision {
@@ -79,6 +81,7 @@ impl Supervision {
             last_stop: operator.last_stop.clone(),
             lapsed: None,
             unwritable: false,
+            devices: DeviceLog::default(),
         }
     }
 
@@ -124,6 +127,10 @@ impl Supervision {
             let _ = sd_notify::notify(&[NotifyState::Watchdog]);
         }
         let status = self.status(&safety_status, safety.realtime, exploration, now_ns);
+        let devices = [&status.camera, &status.lidar, &status.base];
+        for change in self.devices.changes(devices, status.uptime_s) {
+            tracing::warn!("{change}");
+        }
         if let Err(error) = status.write(&self.file)
             && !std::mem::replace(&mut self.unwritable, true)
         {

@@ -28,7 +28,7 @@ pub use digest::{RunDigest, input_digest};
 pub use error::RecordingError;
 pub use header::{FORMAT_VERSION, HandOverSchedule, RunHeader, SegmentHeader};
 pub use reader::RecordingReader;
-pub use sentences::{Severity, fault_reason, lost_reason, sentence};
+pub use sentences::{Severity, drop_reason, fault_reason, goal_reason, lost_reason, sentence};
 pub use tick::{RecordedTick, RgbImage};
 pub use views::{MapView, Views};
 pub use writer::{CHUNK_BYTES, CHUNK_NS, END_WITHOUT_SUMMARY, RecordingWriter};

@@ -27,6 +27,8 @@ pub fn sentence(event: &Event) -> (Severity, String) {
             (Info, format!("going to ({x_m:.2}, {y_m:.2}) m: {}", goal_reason(*why)))
         }
         Event::GoalReached => (Info, "goal reached".to_owned()),
+        // A place that was observed from afar is as good as one that was reached.
+        Event::GoalDropped { why: DropReason::Resolved } => (Info, "goal seen from afar".to_owned()),
         Event::GoalDropped { why } => (Info, format!("goal given up: {}", drop_reason(*why))),
         Event::NoGoal { why } => (Warning, format!("no goal: {}", no_goal_reason(*why))),
         Event::StandsWithoutFrames => {
@@ -77,7 +79,9 @@ pub fn sentence(event: &Event) -> (Severity, String) {
     }
 }
 
-fn goal_reason(why: GoalReason) -> &'static str {
+/// Why a goal was chosen.
+#[must_use]
+pub fn goal_reason(why: GoalReason) -> &'static str {
     match why {
         GoalReason::Frontier => "free floor beside unknown space",
         GoalReason::Inconsistency => "two observations of that place disagree",
@@ -90,7 +94,9 @@ fn goal_reason(why: GoalReason) -> &'static str {
     }
 }
 
-fn drop_reason(why: DropReason) -> &'static str {
+/// Why a goal was given up.
+#[must_use]
+pub fn drop_reason(why: DropReason) -> &'static str {
     match why {
         DropReason::Unreachable => "the map has no path to it any more",
         DropReason::NoProgress => "no progress towards it in time",

@@ -121,7 +121,8 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
     let dir = args.dir.display();
     println!("{} is ready. In other terminals:\n", args.scene);
     println!("    firmware-host run --config {} --out {dir}/run", world.config().display());
-    println!("    firmware-host health --watch --status {dir}/status.json\n");
+    println!("    firmware-host health --watch --status {dir}/status.json");
+    println!("    firmware-host return --task-file {dir}/task.json\n");
     let mut random_faults = args.faults.map(RandomFaults::new);
     let mut clock = MonotonicClock;
     let began = Instant::now();

@@ -286,13 +286,14 @@ fn configuration(
 ) -> Result<String, Box<dyn Error>> {
     let camera = &options.camera;
     let mut text = format!(
-        "# The simulated devices of {}.\n[camera]\nwidth = {}\nheight = {}\n\n[run]\nstatus_file = {:?}\nstop_file = {:?}\n\n\
+        "# The simulated devices of {}.\n[camera]\nwidth = {}\nheight = {}\n\n[run]\nstatus_file = {:?}\ntask_file = {:?}\nstop_file = {:?}\n\n\
          [devices.camera]\ndevice = {picture_node:?}\nwidth = {}\nheight = {}\nfps = {:?}\n\n\
          [devices.lens]\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\n\n[devices.lidar]\nport = {scan_port:?}\nmodel = {:?}\n\n",
         options.scene,
         camera.width,
         camera.height,
         dir.join("status.json"),
+        dir.join("task.json"),
         dir.join("last_stop.json"),
         camera.width,
         camera.height,

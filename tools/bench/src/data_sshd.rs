@@ -79,9 +79,9 @@ pub fn pull(
 ) -> Command {
     let mut command = Command::new(programs.join("pull-buffer"));
     command.arg(format!("127.0.0.1:{}", from.display())).arg(to);
-    command.arg(format!("--remote-command={}", programs.join("firmware-host").display()));
-    command.args(server.options().iter().map(|option| format!("--ssh-option={option}")));
-    command.args(more.iter().map(|option| format!("--ssh-option={}", option.as_ref())));
+    command.arg(format!("--program={}", programs.join("firmware-host").display()));
+    command.args(server.options().iter().map(|option| format!("--ssh={option}")));
+    command.args(more.iter().map(|option| format!("--ssh={}", option.as_ref())));
     // Without a runtime directory, every call opens a new connection.
     command.env_remove("XDG_RUNTIME_DIR").stderr(Stdio::null());
     command

@@ -6,6 +6,7 @@ mod progress;
 mod robot;
 mod store;
 
+use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Mutex;
 
@@ -27,6 +28,11 @@ const TRY_AGAIN: u8 = 75;
 
 fn main() -> ExitCode {
     let options = Options::parse();
+    if let Some(text) = options.manual() {
+        // Whoever closes the pipe does not want the rest.
+        let _ = std::io::stdout().write_all(&text);
+        return ExitCode::SUCCESS;
+    }
     match run(&options) {
         Ok(code) => ExitCode::from(code),
         Err(error) => {
@@ -85,6 +91,10 @@ fn specs(options: &Options) -> Result<Vec<Spec>, StoreError> {
             );
             return Err(StoreError::Usage(text));
         }
+    }
+    // Before anything is pulled.
+    if let Some(layout) = options.layout {
+        layout.check()?;
     }
     if let (Some(to), Some(_)) = (options.destination_store(), options.layout) {
         return Err(StoreError::Usage(format!("{to}: --as can only write into a directory")));

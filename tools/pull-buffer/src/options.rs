@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Parser, ValueEnum};
+use clap::{CommandFactory, Parser, ValueEnum};
+use clap_complete::Shell;
 use segment_store::pull::Order;
 use segment_store::source::is_store;
 
@@ -19,6 +20,12 @@ use segment_store::source::is_store;
 #[derive(Debug, Parser)]
 #[command(name = "pull-buffer", version, override_usage = "pull-buffer [OPTIONS] SOURCE... DEST")]
 pub struct Options {
+    /// Print a completion script for a shell: `source <(pull-buffer --completions bash)` completes in this shell.
+    #[arg(long, value_name = "SHELL", exclusive = true)]
+    pub completions: Option<Shell>,
+    /// Print the man page: `pull-buffer --man | man -l -` shows it.
+    #[arg(long, exclusive = true)]
+    pub man: bool,
     /// One or more sources, then the destination.
     ///
     /// The segments of a source are written to DEST/NAME. NAME is the host or the last component of the directory or URL; write
@@ -51,10 +58,15 @@ pub struct Options {
     #[arg(long)]
     pub no_mark: bool,
     /// The command that runs firmware-host on the robot.
-    #[arg(long, default_value = "firmware-host", value_name = "COMMAND")]
+    #[arg(
+        long = "program",
+        alias = "remote-command",
+        default_value = "firmware-host",
+        value_name = "COMMAND"
+    )]
     pub remote_command: String,
-    /// Pass an argument to ssh, such as --ssh-option=-p2222 or --ssh-option=-i/path/to/key. Can be given several times.
-    #[arg(long = "ssh-option", value_name = "ARG", allow_hyphen_values = true)]
+    /// Pass an argument to ssh, such as --ssh=-p2222 or --ssh=-i/path/to/key. Can be given several times.
+    #[arg(long = "ssh", alias = "ssh-option", value_name = "ARG", allow_hyphen_values = true)]
     pub ssh_options: Vec<String>,
     /// Treat the link as dead when nothing is received for NUM seconds.
     #[arg(long, default_value_t = 60, value_name = "NUM", value_parser = clap::value_parser!(u64).range(1..=3600))]
@@ -65,6 +77,18 @@ pub struct Options {
 }
 
 impl Options {
+    /// The completion script or the man page, if one was asked for.
+    pub fn manual(&self) -> Option<Vec<u8>> {
+        let mut command = Self::command();
+        let mut text = Vec::new();
+        if let Some(shell) = self.completions {
+            clap_complete::generate(shell, &mut command, "pull-buffer", &mut text);
+            return Some(text);
+        }
+        // Writing into memory does not fail.
+        (self.man && clap_mangen::Man::new(command).render(&mut text).is_ok()).then_some(text)
+    }
+
     pub fn sources(&self) -> &[String] {
         self.places.split_last().map_or(&[], |(_, sources)| sources)
     }
@@ -110,7 +134,8 @@ pub enum Layout {
     /// The format of the TUM RGB-D benchmark, with poses from odometry.
     Tum,
     /// A LeRobot dataset, format 3.0: images, odometry and sent commands in Parquet files.
-    #[cfg(feature = "lerobot")]
+    ///
+    /// Only in a build with the feature `lerobot`.
     Lerobot,
 }
 
@@ -143,8 +168,28 @@ mod tests {
 
     #[test]
     fn the_command_line_is_consistent() {
-        use clap::CommandFactory;
         Options::command().debug_assert();
+    }
+
+    #[test]
+    fn completions_and_the_man_page_need_no_sources() {
+        let script = Options::parse_from(["pull-buffer", "--completions", "bash"]).manual();
+        assert!(String::from_utf8(script.unwrap()).unwrap().contains("--retries"));
+        let page = Options::parse_from(["pull-buffer", "--man"]).manual();
+        assert!(String::from_utf8(page.unwrap()).unwrap().contains("DEST"));
+        assert!(Options::parse_from(["pull-buffer", "a:/x", "here"]).manual().is_none());
+    }
+
+    #[test]
+    fn lerobot_is_refused_before_the_pull_by_a_build_that_cannot_write_it() {
+        let options = Options::parse_from(["pull-buffer", "a:/x", "here", "--as", "lerobot"]);
+        let checked = options.layout.map(Layout::check);
+        if cfg!(feature = "lerobot") {
+            assert!(matches!(checked, Some(Ok(()))));
+        } else {
+            let Some(Err(error)) = checked else { panic!("it is not refused") };
+            assert!(error.to_string().contains("--features lerobot"), "{error}");
+        }
     }
 
     #[test]
@@ -160,6 +205,17 @@ mod tests {
         }
         for bad in ["", "fast", "-5MB/s", "0", "5 parsecs", "nan", "1e99GB"] {
             assert!(parse_rate(bad).unwrap_err().contains("5MB/s"), "{bad}");
+        }
+    }
+
+    #[test]
+    fn ssh_and_program_have_the_names_of_push_model_and_their_old_names_still_work() {
+        for [ssh, program] in [["--ssh", "--program"], ["--ssh-option", "--remote-command"]] {
+            let ssh = format!("{ssh}=-p2222");
+            let options =
+                Options::parse_from(["pull-buffer", "a:/x", "here", &ssh, program, "/opt/robot"]);
+            assert_eq!(options.ssh_options, ["-p2222"]);
+            assert_eq!(options.remote_command, "/opt/robot");
         }
     }
 

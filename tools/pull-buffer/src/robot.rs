@@ -157,9 +157,17 @@ impl Layout {
     fn folder(self) -> &'static str {
         match self {
             Self::Tum => "tum",
-            #[cfg(feature = "lerobot")]
             Self::Lerobot => "lerobot",
         }
+    }
+
+    /// Whether this build can export it.
+    pub fn check(self) -> Result<(), StoreError> {
+        if self == Self::Lerobot && !cfg!(feature = "lerobot") {
+            let text = "this build has no LeRobot export: `cargo install --path tools/pull-buffer --features lerobot` has it";
+            return Err(StoreError::Usage(text.to_owned()));
+        }
+        Ok(())
     }
 
     /// Exports a run. Returns the number of its images.
@@ -168,6 +176,8 @@ impl Layout {
             Self::Tum => segment_store::export::tum(segments, to).map(|done| done.images),
             #[cfg(feature = "lerobot")]
             Self::Lerobot => segment_store::export::lerobot(segments, to).map(|done| done.frames),
+            #[cfg(not(feature = "lerobot"))]
+            Self::Lerobot => self.check().map(|()| 0),
         }
     }
 }

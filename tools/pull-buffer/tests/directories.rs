@@ -83,8 +83,7 @@ fn invalid_arguments_exit_with_2_and_a_way_out() {
 fn a_robot_that_ssh_cannot_reach_is_an_error_with_a_way_out() {
     let dir = tempdir().unwrap();
     // No server listens on port 1.
-    let arguments =
-        ["127.0.0.1:/x", "here", "--retries=0", "--ssh-option=-p1", "--ssh-option=-oBatchMode=yes"];
+    let arguments = ["127.0.0.1:/x", "here", "--retries=0", "--ssh=-p1", "--ssh=-oBatchMode=yes"];
     let output = pull(&arguments, dir.path());
     let text = stderr_of(&output);
     if Command::new("ssh").arg("-V").output().is_ok() {

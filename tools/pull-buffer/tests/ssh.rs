@@ -51,7 +51,7 @@ fn pulls_share_a_connection_that_the_users_ssh_keeps_open() {
     for _ in 0..3 {
         let mut pull = server.pull(robot.path(), here.path());
         let output =
-            pull.args(kept.iter().map(|option| format!("--ssh-option={option}"))).output().unwrap();
+            pull.args(kept.iter().map(|option| format!("--ssh={option}"))).output().unwrap();
         assert!(output.status.success(), "{}", stderr_of(&output));
     }
     assert_same(robot.path(), here.path(), 2);
@@ -134,7 +134,7 @@ fn aes_is_preferred_if_the_processor_has_it_unless_the_user_chose_a_cipher() {
         CpuFeatures::detect().aes,
         "{call}"
     );
-    let only = "--ssh-option=-oCiphers=chacha20-poly1305@openssh.com";
+    let only = "--ssh=-oCiphers=chacha20-poly1305@openssh.com";
     let output =
         server.pull(robot.path(), here.path()).arg(only).env("PATH", ssh.path()).output().unwrap();
     assert!(output.status.success(), "{}", stderr_of(&output));
@@ -194,6 +194,6 @@ fn a_robot_without_the_program_is_an_error_with_a_way_out() {
         .output()
         .unwrap();
     let text = stderr_of(&output);
-    assert!(text.contains("/no/such/program") && text.contains("--remote-command"), "{text}");
+    assert!(text.contains("/no/such/program") && text.contains("--program"), "{text}");
     assert_eq!(output.status.code(), Some(1));
 }

@@ -3,12 +3,13 @@
 
 mod target;
 
-use std::io::{BufRead, IsTerminal, Write};
+use std::io::{BufRead, ErrorKind, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 
 use anyhow::{Context, Result, bail};
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap_complete::Shell;
 use signed_model::{Bundle, generate_keys, read_secret_key, sign};
 use target::Target;
 
@@ -33,6 +34,13 @@ enum Task {
     Keygen(KeygenArgs),
     /// Sign NAME.onnx and write the signature to NAME.onnx.minisig.
     Sign(SignArgs),
+    /// Print a completion script: `source <(push-model completions bash)` completes in this shell.
+    Completions {
+        /// Shell that reads the script.
+        shell: Shell,
+    },
+    /// Print the man page: `push-model man | man -l -` shows it.
+    Man,
 }
 
 #[derive(Debug, Args)]
@@ -87,6 +95,12 @@ fn main() -> ExitCode {
         (Some(Task::Sign(args)), _) => {
             sign_file(&args.model, &args.key, args.name).map(|()| ExitCode::SUCCESS)
         }
+        (Some(Task::Completions { shell }), _) => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "push-model", &mut script);
+            print(&script)
+        }
+        (Some(Task::Man), _) => man_page().and_then(|page| print(&page)),
         (None, Some(args)) => push(&args),
         (None, None) => Ok(ExitCode::from(2)),
     };
@@ -94,6 +108,22 @@ fn main() -> ExitCode {
         eprintln!("error: {error:#}");
         ExitCode::FAILURE
     })
+}
+
+fn man_page() -> Result<Vec<u8>> {
+    let mut page = Vec::new();
+    clap_mangen::Man::new(Cli::command()).render(&mut page)?;
+    Ok(page)
+}
+
+/// Prints to standard output, whose reader may close it.
+fn print(text: &[u8]) -> Result<ExitCode> {
+    match std::io::stdout().write_all(text) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(error).context("cannot write to standard output")
+        }
+        _ => Ok(ExitCode::SUCCESS),
+    }
 }
 
 fn keygen(args: &KeygenArgs) -> Result<()> {
@@ -106,7 +136,8 @@ fn keygen(args: &KeygenArgs) -> Result<()> {
         }
         Some(password)
     };
-    println!("{}", generate_keys(&args.key, password, &args.comment)?);
+    let public = generate_keys(&args.key, password, &args.comment)?;
+    print(format!("{public}\n").as_bytes())?;
     eprintln!(
         "Add this line to /etc/embodied-depth/trusted_keys on every robot that should accept your models. Keep the secret key off the robots."
     );

@@ -7,7 +7,7 @@ use std::process::Stdio;
 
 use anyhow::{Context, Result, bail};
 
-use super::Arch;
+use super::{Arch, trial};
 use crate::{command, onnx_runtime, paths};
 
 /// Files that are copied unchanged: path in the repository, path on the robot.
@@ -45,6 +45,7 @@ pub fn make(arch: Arch, program: &Path, folder: &Path) -> Result<PathBuf> {
     command::run(command::program(strip(arch)).arg("--strip-debug").arg(&installed))?;
     fs::create_dir_all(root.join("usr/bin"))?;
     symlink("../lib/embodied-depth/firmware-host", root.join("usr/bin/firmware-host"))?;
+    manual(arch, &root)?;
     let library = onnx_runtime(arch, &root)?;
     fs::write(root.join(DOCUMENTS).join("third-party.txt"), crates()?)?;
     let glibc = needed_glibc(&installed)?.max(needed_glibc(&library)?);
@@ -61,6 +62,31 @@ fn onnx_runtime(arch: Arch, root: &Path) -> Result<PathBuf> {
         copy(&notice, &root.join(DOCUMENTS).join("onnxruntime").join(name), 0o644)?;
     }
     Ok(library)
+}
+
+/// Where each shell looks for completion scripts.
+const COMPLETIONS: [(&str, &str); 3] = [
+    ("bash", "usr/share/bash-completion/completions/firmware-host"),
+    ("zsh", "usr/share/zsh/vendor-completions/_firmware-host"),
+    ("fish", "usr/share/fish/vendor_completions.d/firmware-host.fish"),
+];
+
+/// Man pages and completion scripts, made by the packaged program itself.
+fn manual(arch: Arch, root: &Path) -> Result<()> {
+    let program = root.join("usr/bin/firmware-host");
+    for (shell, path) in COMPLETIONS {
+        let script = output(trial::program(arch, &program).args(["completions", shell]))?;
+        let path = root.join(path);
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        fs::write(&path, script).with_context(|| format!("writing {}", path.display()))?;
+    }
+    let pages = root.join("usr/share/man/man1");
+    command::run(trial::program(arch, &program).arg("man-pages").arg(&pages))?;
+    // `-n`: without the time, so that the same commit gives the same package.
+    let compress = "gzip -9n *.1";
+    command::run(command::program("sh").args(["-c", compress]).current_dir(pages))
 }
 
 fn copy(from: &Path, to: &Path, mode: u32) -> Result<()> {

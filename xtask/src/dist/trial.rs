@@ -20,13 +20,17 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
     command::run(command::program("dpkg-deb").arg("--extract").arg(package).arg(&root))?;
     let firmware = |arguments: &[&str]| {
         let mut firmware = program(arch, &root.join("usr/bin/firmware-host"));
-        // The program sets this variable by executing itself again, which the emulator cannot do.
-        firmware.args(arguments).env_remove("ORT_DYLIB_PATH").env("ORT_DISABLE_TELEMETRY", "1");
+        firmware.args(arguments).env_remove("ORT_DYLIB_PATH");
         firmware
     };
     command::run(&mut firmware(&["--version"]))?;
-    let config = root.join("etc/embodied-depth/robot.toml");
-    command::run(firmware(&["check", "--config"]).arg(config).stdout(std::process::Stdio::null()))?;
+    // The endpoints of the robot's own motors are the only values that the packaged configuration lacks.
+    let config = read(&root.join("etc/embodied-depth/robot.toml"))?;
+    let completed = folder.join("robot.toml");
+    std::fs::write(&completed, config.replace("_endpoint = 0", "_endpoint = 1"))?;
+    command::run(
+        firmware(&["check", "--config"]).arg(completed).stdout(std::process::Stdio::null()),
+    )?;
     // The package's program has no simulator. This computer's own build explores, and the package's program replays.
     let simulated = simulated(&folder)?;
     let recording = simulated.explore("coarse", &["--frames", "20"])?;
@@ -109,7 +113,15 @@ fn models(
     Ok(())
 }
 
-fn program(arch: Arch, path: &Path) -> Command {
+/// The robot's program, ready to run.
+pub fn program(arch: Arch, path: &Path) -> Command {
+    let mut program = emulated(arch, path);
+    // The program sets this variable by executing itself again, which the emulator cannot do.
+    program.env("ORT_DISABLE_TELEMETRY", "1");
+    program
+}
+
+fn emulated(arch: Arch, path: &Path) -> Command {
     if arch.is_this_computers() {
         return command::program(path);
     }

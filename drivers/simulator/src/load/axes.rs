@@ -21,14 +21,18 @@ pub enum UpAxis {
 /// Ratio of level surface along z to that along y above which a glTF file is taken as z up.
 const Z_UP_RATIO: f64 = 3.0;
 
+/// Ratio of level surface along the other axis to that along the requested one above which the request is doubted.
+const DOUBTED_RATIO: f64 = 2.0;
+
 /// Replaces [`UpAxis::Auto`] by the detected axis. The largest flat surface of a home at one height
 /// is its floor.
 pub fn resolve(requested: UpAxis, is_gltf: bool, triangles: &[Triangle]) -> UpAxis {
-    if requested != UpAxis::Auto {
-        return requested;
-    }
     let y = largest_level_area(triangles, 1);
     let z = largest_level_area(triangles, 2);
+    if requested != UpAxis::Auto {
+        warn_if_doubtful(requested, y, z);
+        return requested;
+    }
     let needed = if is_gltf { Z_UP_RATIO * y } else { y };
     if z <= needed {
         return UpAxis::Y;
@@ -39,6 +43,19 @@ pub fn resolve(requested: UpAxis, is_gltf: bool, triangles: &[Triangle]) -> UpAx
         );
     }
     UpAxis::Z
+}
+
+/// The robot would drive on a wall if the requested axis is wrong.
+fn warn_if_doubtful(requested: UpAxis, y: f64, z: f64) {
+    let (axis, own, other_axis, other) =
+        if requested == UpAxis::Z { ("z", z, "y", y) } else { ("y", y, "z", z) };
+    if other > DOUBTED_RATIO * own {
+        tracing::warn!(
+            "{axis} was requested as the up axis, but the largest level surface is {:.1} times as large along {other_axis}: if \
+             the robot drives on a wall, request {other_axis} or no axis",
+            other / own.max(f64::MIN_POSITIVE)
+        );
+    }
 }
 
 /// Converts the file's axes to z up and its units to metres.

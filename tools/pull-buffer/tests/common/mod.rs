@@ -46,8 +46,8 @@ impl Server {
         command
             .arg(format!("robot=127.0.0.1:{}", robot.display()))
             .arg(here)
-            .arg(format!("--remote-command={}", remote_command.display()))
-            .args(self.sshd.options().iter().map(|option| format!("--ssh-option={option}")))
+            .arg(format!("--program={}", remote_command.display()))
+            .args(self.sshd.options().iter().map(|option| format!("--ssh={option}")))
             // Without this directory pulls do not share connections.
             .env_remove("XDG_RUNTIME_DIR")
             .stdin(Stdio::null());
