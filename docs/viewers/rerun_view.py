@@ -8,6 +8,7 @@
 
 import argparse
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -111,7 +112,8 @@ def draw(command, arguments):
     # Rerun shows its log over the image.
     environment = {**os.environ, "RUST_LOG": "off"}
     size = ["--headless", "--window-size", arguments.size, "--port", str(arguments.port)]
-    viewer = subprocess.Popen([*command, *size], env=environment)
+    # The command `rerun` starts the viewer as a process of its own, which has to end as well.
+    viewer = subprocess.Popen([*command, *size], env=environment, start_new_session=True)
     try:
         # Rerun does not say when it has loaded a file.
         time.sleep(arguments.wait)
@@ -124,7 +126,7 @@ def draw(command, arguments):
                 f"Rerun wrote no {file}; it needs Vulkan, also without a graphics card (Debian: mesa-vulkan-drivers)"
             )
     finally:
-        viewer.terminate()
+        os.killpg(viewer.pid, signal.SIGTERM)
         viewer.wait()
 
 

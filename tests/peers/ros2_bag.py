@@ -228,7 +228,7 @@ def plot(bag, file):
     axes.plot(*hits, ".", markersize=0.5, color="0.35", label="hits of the scanner")
     axes.plot(path.x_m, path.y_m, color="tab:blue", label="path by odometry")
     axes.grid(alpha=0.3)
-    axes.legend(loc="upper right")
+    axes.legend(loc="lower right")
     figure.savefig(file, dpi=80)
 
 

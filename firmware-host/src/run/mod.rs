@@ -7,11 +7,11 @@
 
 mod devices;
 mod exploration;
+mod images;
 mod instance_lock;
 mod last_stop;
 mod live_devices;
 mod operator;
-mod pictures;
 pub mod safety_thread;
 pub mod status;
 #[cfg(test)]
@@ -235,7 +235,7 @@ fn report(
     }
     summary.write(out)?;
     println!("{}", crate::report::table::render(&summary));
-    for image in pictures::write(out, robot, log)? {
+    for image in images::write(out, robot, log)? {
         println!("See {}/{image}.", out.display());
     }
     println!("Numbers are in {}/summary.json.", out.display());

@@ -6,6 +6,7 @@ use runtime::robot::Robot;
 
 use super::exploration::RunLog;
 use crate::report::atomic::ReportError;
+use crate::report::depth_sample::SheetSampler;
 use crate::report::depth_scale::DepthScale;
 use crate::report::depth_sheet::{DEPTH_FILE, DepthSheet};
 use crate::report::known_cells::KnownCells;
@@ -38,7 +39,7 @@ pub(super) fn write(
         plot.write(out)?;
         written.push(MAP_FILE);
     }
-    let rows = log.sheet.map_or_else(Vec::new, |sheet| sheet.into_rows());
+    let rows = log.sheet.map_or_else(Vec::new, SheetSampler::into_rows);
     if !rows.is_empty() {
         let scale = DepthScale::of(rows.iter());
         DepthSheet { title: &title, rows: &rows, scale }.write(out)?;
@@ -55,7 +56,7 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
-    use crate::report::depth_sample::{SheetRow, SheetSampler};
+    use crate::report::depth_sample::SheetRow;
     use crate::setup::Mission;
 
     fn robot(config: &Config) -> Robot {
