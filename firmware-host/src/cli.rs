@@ -530,6 +530,8 @@ pub enum BufferTask {
 pub enum ExportLayout {
     /// One MCAP file with an index.
     Mcap,
+    /// One MCAP file for Foxglove and Rerun: with dates, and with everything in a form that both draw.
+    Viewer,
     /// A ROS 2 bag with images, calibration, scans, odometry and transforms.
     Ros2,
     /// The format of the TUM RGB-D benchmark with poses from odometry, which `perceive --dataset` reads.

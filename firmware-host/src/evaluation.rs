@@ -2,14 +2,15 @@
 
 use hal::{DepthMap, Pose2};
 use runtime::accuracy::{Accuracy, ConstantBaseline, SizeMismatch};
-use runtime::event::{DropReason, Event, SafetyEvent};
+use runtime::event::{Event, SafetyEvent};
 use runtime::mapping::{Cell, OccupancyGrid};
 use runtime::robot::{Robot, TickPoses};
 use runtime::tick::Decision;
 
 use crate::report::coverage::Coverage;
 use crate::report::events::EventCounts;
-use crate::report::map_image::{Goal, GoalFate};
+use crate::report::goal_log::GoalLog;
+use crate::report::map_image::Goal;
 use crate::report::pose_error::{PoseError, PosePair};
 use crate::report::stuck::StuckMeter;
 use crate::report::summary::{DepthAccuracy, Summary};
@@ -39,7 +40,7 @@ pub struct Evaluation {
     /// True pose at the last frame.
     last_truth: Option<Pose2>,
     poses: Vec<PosePair>,
-    goals: Vec<Goal>,
+    goals: GoalLog,
     trips_m: Vec<[f64; 2]>,
 }
 
@@ -78,7 +79,7 @@ impl Evaluation {
             path_m: 0.0,
             last_truth: None,
             poses: Vec::new(),
-            goals: Vec::new(),
+            goals: GoalLog::default(),
             trips_m: Vec::new(),
         }
     }
@@ -142,26 +143,10 @@ impl Evaluation {
     fn count_events(&mut self, decision: &Decision, believed: &TickPoses) {
         for event in &decision.events {
             self.events.add(event);
-            match event {
-                Event::GoalChosen { x_m, y_m, .. } => {
-                    self.goals.push(Goal { at_m: [*x_m, *y_m], fate: GoalFate::Open });
-                }
-                Event::GoalReached => self.end_goal(GoalFate::Reached),
-                Event::GoalDropped { why: DropReason::Resolved } => {
-                    self.end_goal(GoalFate::Seen);
-                }
-                Event::GoalDropped { .. } => self.end_goal(GoalFate::Dropped),
-                Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } => {
-                    self.trips_m.push(believed.t_map_base().transform(*x_m, *y_m).into());
-                }
-                _ => {}
+            self.goals.note(event);
+            if let Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } = event {
+                self.trips_m.push(believed.t_map_base().transform(*x_m, *y_m).into());
             }
-        }
-    }
-
-    fn end_goal(&mut self, fate: GoalFate) {
-        if let Some(goal) = self.goals.last_mut() {
-            goal.fate = fate;
         }
     }
 
@@ -196,7 +181,7 @@ impl Evaluation {
     /// Goals and what became of them, in the map, metres.
     #[must_use]
     pub fn goals(&self) -> &[Goal] {
-        &self.goals
+        self.goals.goals()
     }
 
     /// What the safety plane stopped for, in the map, metres.

@@ -17,6 +17,7 @@ use crate::dump::{Dump, Shot};
 use crate::replay::segments;
 use crate::report::atomic::prepare_dir;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
+use crate::report::depth_scale::DepthScale;
 use crate::report::depth_sheet::DepthSheet;
 use crate::report::events::EventCounts;
 use crate::report::latency::Stage;
@@ -105,7 +106,9 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     if let (Some(map), Some(dataset)) = (&evaluator.map, source.dataset()) {
         map.write(&format!("{}, {frames} frames, from above", dataset.manifest().name), &args.out)?;
     }
-    DepthSheet { title: &title, rows: &evaluator.sheet.into_rows() }.write(&args.out)?;
+    let rows = evaluator.sheet.into_rows();
+    DepthSheet { title: &title, rows: &rows, scale: DepthScale::of(rows.iter()) }
+        .write(&args.out)?;
     if source.without_pose() > 0 {
         println!(
             "{} images were left out because the dataset has no pose near them in time.",

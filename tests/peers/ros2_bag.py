@@ -1,5 +1,6 @@
 """Compares a bag of `firmware-host buffer export --as ros2`, read by an independent reader (PyPI `rosbags`), with the
-recording as read by the `mcap` package: every message must have the same content. Called by
+recording as read by the `mcap` package: every message must have the same content, and all times must have moved by the same
+amount, because the bag has dates. Called by
 firmware-host/tests/ros2_peer.rs; manually:
 
     python3 -m venv target/peers && target/peers/bin/pip install -r tests/peers/requirements.txt
@@ -27,21 +28,24 @@ TOPICS = {
     "/scan": "/scan",
     "/odom": "/robot/tick",
     "/tf": "/tf",
+    "/map": "/map",
+    "/diagnostics": "/robot/decision",
 }
 
 
 def recorded(paths):
     messages = {topic: [] for topic in TOPICS.values()}
+    in_json = {"/robot/tick", "/robot/decision"}
     for path in paths:
         with path.open("rb") as file:
             reader = make_reader(file, decoder_factories=[DecoderFactory()])
-            for _, channel, _, message in reader.iter_decoded_messages(topics=[*set(messages) - {"/robot/tick"}]):
+            for _, channel, _, message in reader.iter_decoded_messages(topics=[*set(messages) - in_json]):
                 messages[channel.topic].append(message)
-            for _, channel, message in reader.iter_messages(topics=["/robot/tick", "/robot/decision"]):
-                if channel.topic == "/robot/tick":
-                    messages["/robot/tick"].append(json.loads(message.data))
-                else:
-                    messages["/robot/tick"][-1]["decision"] = json.loads(message.data)
+            for _, channel, message in reader.iter_messages(topics=[*in_json]):
+                content = json.loads(message.data)
+                messages[channel.topic].append(content)
+                if channel.topic == "/robot/decision":
+                    messages["/robot/tick"][-1]["decision"] = content
     return messages
 
 
@@ -60,10 +64,19 @@ def transform_of(messages, child):
     return next(transform for transform in messages.transforms if transform.child_frame_id == child)
 
 
+OFFSETS_NS = set()
+"""By how much the times of the bag are later than those of the recording."""
+
+
+def same_time(header, recorded_ns):
+    assert header.stamp.sec > 0, "TF reads a time of zero as the latest"
+    OFFSETS_NS.add(time_ns(header) - recorded_ns)
+
+
 def same_image(image, of):
     rgb = np.asarray(Image.open(io.BytesIO(of.data)))
     assert np.array_equal(image.data.reshape(image.height, image.width, 3), rgb)
-    assert time_ns(image.header) == of.timestamp.ToNanoseconds()
+    same_time(image.header, of.timestamp.ToNanoseconds())
 
 
 def same_camera_info(info, of):
@@ -77,7 +90,7 @@ def same_scan(scan, of):
     assert len(ranges) == len(expected) and scan.header.frame_id == of.frame_id
     assert np.array_equal(ranges[np.isfinite(ranges)], expected[np.isfinite(ranges)])
     assert abs(scan.angle_max - of.end_angle) < 1e-6 and abs(scan.angle_min - of.start_angle) < 1e-6
-    assert time_ns(scan.header) == of.timestamp.ToNanoseconds()
+    same_time(scan.header, of.timestamp.ToNanoseconds())
 
 
 def same_odometry(odometry, of):
@@ -90,12 +103,32 @@ def same_odometry(odometry, of):
     yaw = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
     assert abs(math.remainder(yaw - localized["yaw_rad"], math.tau)) < 1e-12
     assert (twist.linear.x, twist.angular.z) == (wheel["linear_mps"], wheel["angular_radps"])
-    assert time_ns(odometry.header) == wheel["time_ns"]
+    same_time(odometry.header, wheel["time_ns"])
 
 
 def same_base_transforms(tf, of):
     for transform, child in zip(tf.transforms, ["base_link", "odom"], strict=True):
         same_transform(transform, transform_of(of, child))
+
+
+def same_map(grid, of):
+    info = grid.info
+    cells = np.frombuffer(of.data, np.uint8).reshape(-1, of.cell_stride)
+    assert np.array_equal(grid.data, cells[:, 4].view(np.int8))
+    assert info.width == of.column_count and info.width * info.height == len(cells)
+    assert abs(info.resolution - of.cell_size.x) < 1e-6 and grid.header.frame_id == of.frame_id
+    assert (info.origin.position.x, info.origin.position.y) == (of.pose.position.x, of.pose.position.y)
+    same_time(grid.header, of.timestamp.ToNanoseconds())
+
+
+def same_decision(diagnostics, of):
+    [status] = diagnostics.status
+    values = {entry.key: entry.value for entry in status.values}
+    assert int(values["tick"]) == of["tick"] and float(values["desired_mps"]) == of["desired"]["linear_mps"]
+    goal = of["goal_m"]
+    assert goal is None or [float(values["goal_x_m"]), float(values["goal_y_m"])] == goal
+    assert bool(status.message) == bool(of["events"])
+    same_time(diagnostics.header, of["time_ns"])
 
 
 SAME = {
@@ -104,6 +137,8 @@ SAME = {
     "/scan": same_scan,
     "/odom": same_odometry,
     "/tf": same_base_transforms,
+    "/map": same_map,
+    "/diagnostics": same_decision,
 }
 
 
@@ -119,6 +154,7 @@ def compare(bag, recordings):
         counts[topic] += 1
     for topic, source in TOPICS.items():
         assert counts[topic] == len(expected[source]), f"{counts[topic]} of {len(expected[source])} in {topic}"
+    assert len(OFFSETS_NS) == 1, OFFSETS_NS
     print(json.dumps(counts))
 
 
@@ -128,43 +164,72 @@ def messages_of(bag):
             yield connection.topic, reader.deserialize(data, connection.msgtype)
 
 
-def plot(bag, path):
-    """Plots camera images, and a top view of the path by odometry with the scanner's hits."""
+CELL_M = 0.05
+"""Cells in which hits are counted: fewer cells are occupied when every scan lies where it was taken."""
+
+
+class Path2d:
+    """Poses of a robot by time, from odometry."""
+
+    def __init__(self, messages):
+        poses = [message.pose.pose for message in messages]
+        self.times_ns = np.array([time_ns(message.header) for message in messages])
+        self.x_m = np.array([pose.position.x for pose in poses])
+        self.y_m = np.array([pose.position.y for pose in poses])
+        self.yaw_rad = np.unwrap([2 * math.atan2(pose.orientation.z, pose.orientation.w) for pose in poses])
+
+    def at(self, at_ns):
+        """The pose at a time between two measurements, as TF interpolates it."""
+        begin_ns = self.times_ns[0]
+        times = self.times_ns - begin_ns
+        return [np.interp(at_ns - begin_ns, times, of) for of in (self.x_m, self.y_m, self.yaw_rad)]
+
+
+def hits_of(scan, path, mount):
+    """Hits of a scan in `odom`, metres, with the scanner where it was when the scan was taken."""
+    angles = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+    near = np.isfinite(scan.ranges) & (scan.ranges < 8)
+    # The beam straight ahead is measured halfway through a revolution.
+    x_m, y_m, yaw_rad = path.at(time_ns(scan.header) + int(scan.scan_time / 2 * 1e9))
+    in_base = scan.ranges[near] * np.array([np.cos(angles[near]), np.sin(angles[near])]) + mount
+    rotation = np.array([[math.cos(yaw_rad), -math.sin(yaw_rad)], [math.sin(yaw_rad), math.cos(yaw_rad)]])
+    return rotation @ in_base + np.array([[x_m], [y_m]])
+
+
+def plot(bag, file):
+    """Plots camera images, and the hits of all scans with the path by odometry from above."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    images = []
-    path_points = []
-    hits = []
-    pose = None
+    by_topic = {}
     for topic, message in messages_of(bag):
-        if topic == "/camera/image":
-            images.append((time_ns(message.header), message.data.reshape(message.height, message.width, 3)))
-        elif topic == "/odom":
-            at = message.pose.pose.position
-            rotation = message.pose.pose.orientation
-            pose = (at.x, at.y, 2 * math.atan2(rotation.z, rotation.w))
-            path_points.append(pose)
-        elif topic == "/scan" and pose and len(path_points) % 10 == 1:
-            ranges = message.ranges
-            angles = pose[2] + message.angle_min + message.angle_increment * np.arange(len(ranges))
-            near = np.isfinite(ranges) & (ranges < 8)
-            beams = ranges[near] * np.array([np.cos(angles[near]), np.sin(angles[near])])
-            hits.append(beams + np.array(pose[:2])[:, None])
+        by_topic.setdefault(topic, []).append(message)
+    images = by_topic["/camera/image"]
+    path = Path2d(by_topic["/odom"])
+    laser = transform_of(by_topic["/tf_static"][0], "laser").transform.translation
+    mount = np.array([[laser.x], [laser.y]])
+    hits = np.hstack([hits_of(scan, path, mount) for scan in by_topic["/scan"]])
+    occupied = len(np.unique(np.floor(hits / CELL_M), axis=1).T)
+    print(f"{occupied} cells of {100 * CELL_M:.0f} cm are hit by {len(by_topic['/scan'])} scans")
     figure = pyplot.figure(figsize=(10, 8), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=[1, 1.2])
+    begin_ns = time_ns(images[0].header)
     for row, at in enumerate([0, len(images) // 2, len(images) - 1]):
+        image = images[at]
         axes = figure.add_subplot(grid[row, 0])
-        axes.imshow(images[at][1])
-        axes.set_title(f"/camera/image at {images[at][0] * 1e-9:.1f} s")
+        axes.imshow(image.data.reshape(image.height, image.width, 3))
+        axes.set_title(f"/camera/image at {(time_ns(image.header) - begin_ns) * 1e-9:.1f} s")
         axes.axis("off")
-    axes = figure.add_subplot(grid[:, 1], aspect="equal", title="/scan and /odom", xlabel="odom x (m)", ylabel="odom y (m)")
-    axes.plot(*np.hstack(hits), ".", markersize=1, color="0.5", label="hits of the scanner")
-    axes.plot([x for x, _, _ in path_points], [y for _, y, _ in path_points], color="tab:blue", label="path by odometry")
-    axes.legend(loc="upper right")
-    figure.savefig(path, dpi=80)
+    axes = figure.add_subplot(
+        grid[:, 1], aspect="equal", title="/scan and /odom", xlabel="x in odom (m)", ylabel="y in odom (m)"
+    )
+    axes.plot(*hits, ".", markersize=0.5, color="0.35", label="hits of the scanner")
+    axes.plot(path.x_m, path.y_m, color="tab:blue", label="path by odometry")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right")
+    figure.savefig(file, dpi=80)
 
 
 def main():

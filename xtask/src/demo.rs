@@ -65,8 +65,10 @@ pub fn run() -> Result<()> {
     println!(
         "\nThe robot saw {FRAMES} frames of {SCENE} in {seconds:.0} s, with depth from {depth}."
     );
+    println!("See the map grow: {}/animation.png in a browser.", out.display());
     println!(
-        "Open the recording in Foxglove (Open local file) or Rerun (`rerun {}/recording_0000.mcap`).",
+        "For Foxglove and Rerun: {} buffer export {} --as viewer --out run.mcap (docs/recording.md).",
+        robot.display(),
         out.display()
     );
     let with_model = model.map_or(String::new(), |model| format!(" --model {}", model.display()));

@@ -40,19 +40,30 @@ pub struct Recovered {
     pub last_ns: Option<u64>,
 }
 
+/// What writes a new file.
+pub(crate) type Output<W> = Writer<NoSeek<W>>;
+
 /// Writes the intact chunks of one or more segments into one new MCAP file.
 pub(crate) struct Rewriter<W: Write> {
-    mcap: Writer<NoSeek<W>>,
+    mcap: Output<W>,
     done: Recovered,
 }
+
+/// A message of a segment. The channel of its header is that of the new file.
+pub(crate) struct Recorded<'a> {
+    pub topic: &'a str,
+    pub header: MessageHeader,
+    pub data: &'a [u8],
+}
+
+/// Writes what becomes of a message.
+pub(crate) type Edit<'a, W> = dyn FnMut(&mut Output<W>, Recorded<'_>) -> Result<(), McapError> + 'a;
 
 /// The schemas and channels of one segment. Their ids differ between the two files; the maps translate them.
 struct Definitions {
     schemas: BTreeMap<u16, u16>,
-    /// The id of a channel in the new file, and whether it is that of the ticks.
-    channels: BTreeMap<u16, (u16, bool)>,
-    /// Definitions of the summary section, for those that no kept chunk has.
-    index: Index,
+    /// The id of a channel in the new file, and its topic.
+    channels: BTreeMap<u16, (u16, String)>,
 }
 
 impl<W: Write> Rewriter<W> {
@@ -68,43 +79,45 @@ impl<W: Write> Rewriter<W> {
         Ok(Self { mcap: options.create(NoSeek::new(sink))?, done: Recovered::default() })
     }
 
-    /// Adds all intact chunks of a segment.
+    /// Adds all messages of all intact chunks of a segment.
     pub(crate) fn add<B: Bytes + ?Sized>(&mut self, file: &B) -> Result<(), McapError> {
-        let length = file.length()?;
-        let mut index = Index::read(file, length)?;
-        let mut chunks = std::mem::take(&mut index.chunks);
-        if chunks.is_empty() {
-            if !records::has_magic(file, length)? {
-                return if length < MAGIC_LEN { Ok(()) } else { Err(McapError::BadMagic) };
-            }
-            chunks = chunks_in_sequence(file, length)?;
-        }
+        self.add_edited(file, &mut |out, message| {
+            out.write_to_known_channel(&message.header, message.data)
+        })
+    }
+
+    /// Passes all messages of all intact chunks of a segment to `edit`, which writes what becomes of them.
+    pub(crate) fn add_edited<B: Bytes + ?Sized>(
+        &mut self,
+        file: &B,
+        edit: &mut Edit<'_, W>,
+    ) -> Result<(), McapError> {
         let mut definitions =
-            Definitions { schemas: BTreeMap::from([(0, 0)]), channels: BTreeMap::new(), index };
-        let mut buffer = Vec::new();
-        for record in chunks {
-            // Parsed once without writing, so that an error in the middle does not leave half of the chunk in the output.
-            let is_intact = chunk::load(file, record, &mut buffer)?.is_ok()
-                && chunk::each_item(&buffer, |_| Ok(())).is_ok();
-            if !is_intact {
-                self.done.bad_chunks += 1;
-                continue;
-            }
-            chunk::each_item(&buffer, |item| self.add_item(item, &mut definitions))?;
+            Definitions { schemas: BTreeMap::from([(0, 0)]), channels: BTreeMap::new() };
+        self.done.bad_chunks += each_intact_chunk(file, |chunk, index| {
+            chunk::each_item(chunk, |item| self.add_item(item, &mut definitions, index, edit))?;
             self.done.chunks += 1;
-            self.mcap.flush()?;
-        }
+            self.mcap.flush()
+        })?;
         Ok(())
     }
 
-    fn add_item(&mut self, item: Item<'_>, definitions: &mut Definitions) -> Result<(), McapError> {
+    fn add_item(
+        &mut self,
+        item: Item<'_>,
+        definitions: &mut Definitions,
+        index: &Index,
+        edit: &mut Edit<'_, W>,
+    ) -> Result<(), McapError> {
         match item {
             Item::Schema(header, data) => {
                 let id = self.mcap.add_schema(&header.name, &header.encoding, data)?;
                 definitions.schemas.insert(header.id, id);
             }
-            Item::Channel(channel) => self.add_channel(&channel, definitions)?,
-            Item::Message(header, data) => self.add_message(header, data, definitions)?,
+            Item::Channel(channel) => self.add_channel(&channel, definitions, index)?,
+            Item::Message(header, data) => {
+                self.add_message(header, data, definitions, index, edit)?;
+            }
         }
         Ok(())
     }
@@ -113,9 +126,10 @@ impl<W: Write> Rewriter<W> {
         &mut self,
         channel: &Channel,
         definitions: &mut Definitions,
+        index: &Index,
     ) -> Result<(), McapError> {
         if !definitions.schemas.contains_key(&channel.schema_id)
-            && let Some((header, data)) = definitions.index.schema(channel.schema_id)
+            && let Some((header, data)) = index.schema(channel.schema_id)
         {
             let id = self.mcap.add_schema(&header.name, &header.encoding, data)?;
             definitions.schemas.insert(header.id, id);
@@ -128,7 +142,7 @@ impl<W: Write> Rewriter<W> {
             &channel.message_encoding,
             &channel.metadata,
         )?;
-        definitions.channels.insert(channel.id, (id, channel.topic == "/robot/tick"));
+        definitions.channels.insert(channel.id, (id, channel.topic.clone()));
         Ok(())
     }
 
@@ -137,27 +151,59 @@ impl<W: Write> Rewriter<W> {
         mut header: MessageHeader,
         data: &[u8],
         definitions: &mut Definitions,
+        index: &Index,
+        edit: &mut Edit<'_, W>,
     ) -> Result<(), McapError> {
         if !definitions.channels.contains_key(&header.channel_id)
-            && let Some(channel) = definitions.index.channel(header.channel_id).cloned()
+            && let Some(channel) = index.channel(header.channel_id)
         {
-            self.add_channel(&channel, definitions)?;
+            self.add_channel(channel, definitions, index)?;
         }
-        let Some((id, is_tick)) = definitions.channels.get(&header.channel_id).copied() else {
+        let Some((id, topic)) = definitions.channels.get(&header.channel_id) else {
             self.done.unknown_messages += 1;
             return Ok(());
         };
-        header.channel_id = id;
+        header.channel_id = *id;
         self.done.last_ns = self.done.last_ns.max(Some(header.log_time));
         self.done.messages += 1;
-        self.done.ticks += u64::from(is_tick);
-        self.mcap.write_to_known_channel(&header, data)
+        self.done.ticks += u64::from(topic == "/robot/tick");
+        edit(&mut self.mcap, Recorded { topic, header, data })
     }
 
     pub(crate) fn finish(mut self) -> Result<(W, Recovered), McapError> {
         self.mcap.finish()?;
         Ok((self.mcap.into_inner().into_inner(), self.done))
     }
+}
+
+/// Calls `each` for every intact chunk of a file, with its bytes and the definitions of the file's summary section, for those
+/// that no kept chunk has. Returns the number of the other chunks.
+pub(crate) fn each_intact_chunk<B: Bytes + ?Sized>(
+    file: &B,
+    mut each: impl FnMut(&[u8], &Index) -> Result<(), McapError>,
+) -> Result<u64, McapError> {
+    let length = file.length()?;
+    let mut index = Index::read(file, length)?;
+    let mut chunks = std::mem::take(&mut index.chunks);
+    if chunks.is_empty() {
+        if !records::has_magic(file, length)? {
+            return if length < MAGIC_LEN { Ok(0) } else { Err(McapError::BadMagic) };
+        }
+        chunks = chunks_in_sequence(file, length)?;
+    }
+    let mut bad_chunks = 0;
+    let mut buffer = Vec::new();
+    for record in chunks {
+        // Parsed once without a use, so that an error in the middle does not leave half of the chunk in the output.
+        let is_intact = chunk::load(file, record, &mut buffer)?.is_ok()
+            && chunk::each_item(&buffer, |_| Ok(())).is_ok();
+        if is_intact {
+            each(&buffer, &index)?;
+        } else {
+            bad_chunks += 1;
+        }
+    }
+    Ok(bad_chunks)
 }
 
 /// The chunks of a file without index, from its sequence of records. A damaged length ends it.

@@ -7,9 +7,10 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use common::{robot, run_header, some_tick};
+use common::{decision, robot, run_header, some_tick};
 use hal::{LaserScan, Pose2, Range, ScanGeometry, Twist2};
-use runtime::recording::{RecordedTick, RecordingWriter, SegmentHeader, Views};
+use runtime::event::Event;
+use runtime::recording::{MapView, RecordedTick, RecordingWriter, SegmentHeader, Views};
 use segment_store::export::ros2;
 use segment_store::{ErrorKind, StoreError};
 use serde::Deserialize;
@@ -94,7 +95,11 @@ fn decode<T: DeserializeOwned>(data: &[u8], topic: &str) -> T {
     message
 }
 
+/// Unix time at which the clock of the recordings is zero.
+const ZERO_UNIX_NS: u64 = 1_790_000_000_000_000_000;
+
 fn stamp(time_ns: u64, frame_id: &str) -> Header {
+    let time_ns = ZERO_UNIX_NS + time_ns;
     Header {
         sec: (time_ns / 1_000_000_000) as i32,
         nanosec: (time_ns % 1_000_000_000) as u32,
@@ -133,9 +138,15 @@ fn full_tick(number: u64) -> RecordedTick {
 }
 
 fn recorded(dir: &Path, ticks: &[RecordedTick]) -> std::path::PathBuf {
+    recorded_with(dir, ticks, &Views::default())
+}
+
+/// The same views with every tick.
+fn recorded_with(dir: &Path, ticks: &[RecordedTick], views: &Views) -> std::path::PathBuf {
     let header = SegmentHeader::new(run_header(), 0, ticks[0].tick, ticks[0].time_ns);
+    let header = SegmentHeader { zero_unix_ns: Some(ZERO_UNIX_NS), ..header };
     let mut writer = RecordingWriter::begin(Vec::new(), header).unwrap();
-    ticks.iter().for_each(|tick| writer.write(tick, &Views::default()).unwrap());
+    ticks.iter().for_each(|tick| writer.write(tick, views).unwrap());
     let path = dir.join("recording_0000.mcap");
     fs::write(&path, writer.finish().map_err(|(_, error)| error).unwrap()).unwrap();
     path
@@ -266,6 +277,80 @@ fn repeated_wheel_feedback_and_non_finite_poses_are_left_out() {
     let messages = bag_of(&dir.path().join("bag"));
     assert_eq!((messages["/odom"].len(), messages["/tf"].len(), bagged.without_pose), (1, 1, 1));
     assert_eq!(messages["/scan"].len(), 3);
+}
+
+#[derive(Deserialize)]
+struct Grid {
+    header: Header,
+    _load_time: (i32, u32),
+    resolution: f32,
+    size: (u32, u32),
+    origin: [f64; 7],
+    data: Vec<i8>,
+}
+
+#[test]
+fn the_map_is_exported_as_an_occupancy_grid_for_late_subscribers() {
+    let dir = tempfile::tempdir().unwrap();
+    let map = MapView {
+        origin_m: [-1.0, 2.0],
+        cell_m: 0.05,
+        columns: 3,
+        occupancy: vec![-1, 0, 100, 100, 0, -1],
+    };
+    let views = Views { map: Some(map), ..Views::default() };
+    let segment = recorded_with(dir.path(), &[full_tick(4), full_tick(5)], &views);
+    let bagged = ros2(&[segment], &dir.path().join("bag")).unwrap();
+    let grids: Vec<Grid> = decoded(&bag_of(&dir.path().join("bag")), "/map");
+    assert_eq!((grids.len(), bagged.maps), (2, 2));
+    assert_eq!(grids[1].header, stamp(500_000_000, "map"));
+    assert_eq!((grids[0].resolution, grids[0].size), (0.05, (3, 2)));
+    assert_eq!(grids[0].origin, [-1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+    assert_eq!(grids[0].data, [-1, 0, 100, 100, 0, -1]);
+    let metadata = fs::read_to_string(dir.path().join("bag/metadata.yaml")).unwrap();
+    assert_eq!(metadata.matches("durability: 1").count(), 2);
+}
+
+#[derive(Deserialize)]
+struct Diagnostics {
+    header: Header,
+    status: Vec<Status>,
+}
+
+#[derive(Deserialize)]
+struct Status {
+    level: u8,
+    name: String,
+    message: String,
+    _hardware_id: String,
+    values: Vec<(String, String)>,
+}
+
+#[test]
+fn a_decision_is_a_diagnostic_with_its_reasons() {
+    let dir = tempfile::tempdir().unwrap();
+    let tick = full_tick(7);
+    let events = vec![Event::GoalReached, Event::StandsWithoutFrames];
+    let tick = RecordedTick { decision: Some(decision(7, events)), ..tick };
+    ros2(&[recorded(dir.path(), &[tick])], &dir.path().join("bag")).unwrap();
+    let found: Vec<Diagnostics> = decoded(&bag_of(&dir.path().join("bag")), "/diagnostics");
+    assert_eq!((&found[0].header, found[0].status.len()), (&stamp(700_000_000, ""), 1));
+    let status = &found[0].status[0];
+    assert_eq!((status.level, status.name.as_str()), (1, "embodied_depth: decision"));
+    assert_eq!(status.message, "goal reached; stopped: no frame has arrived for too long");
+    let goal = status.values.iter().find(|(key, _)| key == "goal_y_m");
+    assert_eq!(goal.map(|(_, value)| value.as_str()), Some("-2"));
+}
+
+#[test]
+fn a_simulation_that_begins_at_zero_has_no_stamp_that_tf_reads_as_the_latest() {
+    let dir = tempfile::tempdir().unwrap();
+    robot(dir.path());
+    let segment = dir.path().join("monday/recording_0000.mcap");
+    let bagged = ros2(&[segment], &dir.path().join("bag")).unwrap();
+    let images: Vec<Image> = decoded(&bag_of(&dir.path().join("bag")), "/camera/image");
+    assert!(!bagged.dated);
+    assert!(images[0].header.sec > 1_700_000_000, "{:?}", images[0].header);
 }
 
 #[test]

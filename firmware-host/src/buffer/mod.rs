@@ -175,16 +175,29 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
             let done = export::mcap(&files, out)?;
             println!("{}: {} ticks, {} messages", out.display(), done.ticks, done.messages);
         }
+        ExportLayout::Viewer => {
+            let done = export::viewer(&files, out)?;
+            println!("{}: {} ticks, {} messages", out.display(), done.ticks, done.messages);
+            tell_date(done.dated);
+            if done.unreadable + done.bad_chunks > 0 {
+                println!(
+                    "left out: {} messages that cannot be read, {} damaged chunks",
+                    done.unreadable, done.bad_chunks
+                );
+            }
+        }
         ExportLayout::Ros2 => {
             let done = export::ros2(&files, out)?;
             println!(
-                "{}: {} messages, of these {} images and {} scans; {} ticks had no pose",
+                "{}: {} messages, of these {} images, {} scans and {} maps; {} ticks had no pose",
                 out.display(),
                 done.messages,
                 done.images,
                 done.scans,
+                done.maps,
                 done.without_pose
             );
+            tell_date(done.dated);
         }
         ExportLayout::Tum => {
             let done = export::tum(&files, out)?;
@@ -212,6 +225,16 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
         ),
     }
     Ok(())
+}
+
+/// Says where the dates of an export are from, if not from the recording.
+fn tell_date(is_recorded: bool) {
+    if !is_recorded {
+        println!(
+            "The recording has no date, like all of simulations: the run is dated as if it had begun when its first file was \
+             written."
+        );
+    }
 }
 
 fn serve(dir: &Path) -> Result<()> {

@@ -33,6 +33,7 @@ use crate::model::LiveModels;
 use crate::record::{RecordError, Recorder, recorded_views, snapshot};
 use crate::report::coverage::Coverage;
 use crate::report::depth_sample::{SheetRow, SheetSampler};
+use crate::report::depth_scale::DepthScale;
 use crate::report::depth_sheet::DepthSheet;
 use crate::report::latency::Stage;
 use crate::report::progress::{Progress, Status};
@@ -278,10 +279,13 @@ impl Exploration {
         summary.write(&out)?;
         println!("{}", table::render(&summary));
         let title = map_plot::title(&summary);
-        DepthSheet { title: &title, rows: &log.sheet.into_rows() }.write(&out)?;
+        let rows = log.sheet.into_rows();
+        let scale = DepthScale::of(rows.iter());
+        DepthSheet { title: &title, rows: &rows, scale }.write(&out)?;
         if let Some(shots) = &log.animation {
             shots.write(
                 &title,
+                scale,
                 robot.map().cell_m(),
                 &log.evaluation,
                 &log.world.floor_plan(),
@@ -293,8 +297,14 @@ impl Exploration {
             "See {0}/map.png and {0}/depth.png; numbers are in {0}/summary.json.",
             out.display()
         );
+        if log.animation.is_some() {
+            println!("{}/animation.png shows how the map grew; a browser plays it.", out.display());
+        }
         if summary.recording_mib.is_some() {
-            println!("Open {}/recording_0000.mcap in Foxglove or Rerun.", out.display());
+            println!(
+                "For Foxglove and Rerun: firmware-host buffer export {} --as viewer --out run.mcap",
+                out.display()
+            );
         }
         Ok(end)
     }

@@ -12,6 +12,7 @@ use crate::report::animation::{Animation, SHOTS, Shot};
 use crate::report::atomic::ReportError;
 use crate::report::coverage::Coverage;
 use crate::report::depth_sample::SheetRow;
+use crate::report::depth_scale::DepthScale;
 
 /// The images so far.
 pub(super) struct Shots {
@@ -57,6 +58,7 @@ impl Shots {
     pub fn write(
         &self,
         title: &str,
+        scale: DepthScale,
         cell_m: f64,
         evaluation: &Evaluation,
         plan: &FloorPlan,
@@ -69,6 +71,7 @@ impl Shots {
             resolution_m: cell_m,
             trajectory: &evaluation.believed_path(),
             origin_m: plan.grid().origin_m,
+            scale,
         }
         .write(out)
     }

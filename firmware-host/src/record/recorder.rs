@@ -43,6 +43,8 @@ pub struct RecorderOptions {
     pub sync: bool,
     /// Whether images are recorded, and the parts of a tick that contain images: depth and snapshots.
     pub images: bool,
+    /// Whether segments say which date the run's times are. Not in virtual time.
+    pub dated: bool,
     /// How much of the disk recordings may use; `None` for all of it.
     pub quota: Option<Quota>,
 }
@@ -59,6 +61,7 @@ impl RecorderOptions {
             segment_bytes: 256 << 20,
             sync: false,
             images: true,
+            dated: false,
             quota: None,
         }
     }
@@ -66,7 +69,7 @@ impl RecorderOptions {
     /// For a real robot: recording never delays the loop, and a power cut costs little (see the [module](super)).
     #[must_use]
     pub fn robot(dir: impl Into<PathBuf>) -> Self {
-        Self { when_full: WhenFull::Drop, sync: true, ..Self::simulation(dir) }
+        Self { when_full: WhenFull::Drop, sync: true, dated: true, ..Self::simulation(dir) }
     }
 
     /// With the segments and images of the configuration.

@@ -4,7 +4,9 @@ use std::cell::Cell;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::time::SystemTime;
 
+use monotonic_clock::monotonic_ns;
 use runtime::recording::{
     RecordedTick, RecordingWriter, RunDigest, RunHeader, SegmentHeader, Views,
 };
@@ -18,6 +20,12 @@ use super::recorder::{RecorderOptions, RecordingSummary};
 #[must_use]
 pub fn segment_name(segment: u32) -> String {
     format!("recording_{segment:04}.mcap")
+}
+
+/// Unix time at which the computer's monotonic clock was zero, by its present date; `None` if that is not set.
+fn zero_unix_ns() -> Option<u64> {
+    let date = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).ok()?;
+    u64::try_from(date.as_nanos()).ok()?.checked_sub(monotonic_ns())
 }
 
 /// Writes ticks into segments, on the recording thread.
@@ -118,7 +126,11 @@ impl Segments {
         };
         let written = Rc::new(Cell::new(0));
         let sink = Sink::new(file, Rc::clone(&written), self.options.sync);
-        let header = SegmentHeader::new(self.run.clone(), segment, tick, time_ns);
+        let zero_unix_ns = self.options.dated.then(zero_unix_ns).flatten();
+        let header = SegmentHeader {
+            zero_unix_ns,
+            ..SegmentHeader::new(self.run.clone(), segment, tick, time_ns)
+        };
         match RecordingWriter::begin(sink, header) {
             Ok(writer) => {
                 self.summary.segments += 1;

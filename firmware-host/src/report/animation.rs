@@ -11,7 +11,7 @@ use super::{
     canvas::{Canvas, Font},
     colors::{self, Rgb},
     depth_sample::SheetRow,
-    depth_sheet::{DepthScale, hatch},
+    depth_scale::{DepthScale, hatch},
     map_image::{CellState, Cells, END, FAINT, FREE, INK, OCCUPIED, PAGE, UNKNOWN},
     percent,
 };
@@ -60,6 +60,8 @@ pub struct Animation<'a> {
     pub trajectory: &'a [Pose2],
     /// Outer corner of the grid's first cell.
     pub origin_m: [f64; 2],
+    /// The colours of depth, which are the same in all images of a run.
+    pub scale: DepthScale,
 }
 
 impl Animation<'_> {
@@ -86,8 +88,7 @@ impl Animation<'_> {
     }
 
     fn draw(&self) -> Vec<Canvas> {
-        let scale = DepthScale::of(self.shots.iter().map(|shot| &shot.row));
-        self.shots.iter().map(|shot| self.draw_shot(shot, &scale)).collect()
+        self.shots.iter().map(|shot| self.draw_shot(shot, &self.scale)).collect()
     }
 
     fn draw_shot(&self, shot: &Shot, scale: &DepthScale) -> Canvas {
@@ -295,6 +296,7 @@ mod tests {
             resolution_m: 0.1,
             trajectory,
             origin_m: [-1.0, -1.0],
+            scale: DepthScale::of(shots.iter().map(|shot| &shot.row)),
         }
     }
 

@@ -3,29 +3,17 @@
 /// Red, green and blue in sRGB.
 pub type Rgb = [u8; 3];
 
-/// Google's Turbo colour map (Mikhailov 2019) as its published polynomial fit of degree five: blue
-/// at 0, red at 1.
+/// Colour of a depth, 0 (near) to 1 (far) of its scale: viridis from yellow to dark violet. Equal steps look equal, also in
+/// grey and to eyes that do not tell red from green.
 #[must_use]
-pub fn turbo(share: f64) -> Rgb {
-    const RED: [f64; 6] = [
-        0.135_721_38,
-        4.615_392_60,
-        -42.660_322_58,
-        132.131_082_34,
-        -152.942_393_96,
-        59.286_379_43,
-    ];
-    const GREEN: [f64; 6] =
-        [0.091_402_61, 2.194_188_39, 4.842_966_58, -14.185_033_33, 4.277_298_57, 2.829_566_04];
-    const BLUE: [f64; 6] = [
-        0.106_673_30,
-        12.641_946_08,
-        -60.582_048_36,
-        110.362_767_71,
-        -89.903_109_12,
-        27.348_249_73,
-    ];
-    [RED, GREEN, BLUE].map(|coefficients| polynomial(&coefficients, share))
+pub fn depth(share: f64) -> Rgb {
+    colorous::VIRIDIS.eval_continuous(1.0 - share.clamp(0.0, 1.0)).as_array()
+}
+
+/// Colour of a probability, 0 to 1: from nearly white to dark blue.
+#[must_use]
+pub fn probability(share: f64) -> Rgb {
+    colorous::BLUES.eval_continuous(share.clamp(0.0, 1.0)).as_array()
 }
 
 /// Colour of the time along a path, 0 to 1: dark blue, violet, red, orange. All colours are dark
@@ -40,12 +28,6 @@ pub fn time(share: f64) -> Rgb {
 #[must_use]
 pub fn error(share: f64) -> Rgb {
     gradient(&[[255, 255, 250], [253, 212, 158], [252, 141, 89], [200, 40, 30], [70, 0, 20]], share)
-}
-
-fn polynomial(coefficients: &[f64], x: f64) -> u8 {
-    let x = x.clamp(0.0, 1.0);
-    let value = coefficients.iter().rev().fold(0.0, |sum, coefficient| sum * x + coefficient);
-    (value.clamp(0.0, 1.0) * 255.0).round() as u8
 }
 
 fn gradient(stops: &[Rgb], share: f64) -> Rgb {
@@ -75,11 +57,8 @@ mod tests {
     }
 
     #[test]
-    fn turbo_goes_from_blue_over_green_to_red() {
-        let [low, middle, high] = [0.1, 0.5, 0.9].map(turbo);
-        assert!(low[2] > low[0] && low[2] > low[1], "{low:?}");
-        assert!(middle[1] > middle[0] && middle[1] > middle[2], "{middle:?}");
-        assert!(high[0] > high[1] && high[0] > high[2], "{high:?}");
+    fn near_is_yellow_and_far_is_violet() {
+        assert_eq!([depth(0.0), depth(1.0)], [[253, 231, 37], [68, 1, 84]]);
     }
 
     #[test]
@@ -94,6 +73,13 @@ mod tests {
         fn a_larger_error_is_always_darker(a in 0.0..1.0f64, b in 0.0..1.0f64) {
             prop_assume!(b - a > 0.01);
             prop_assert!(luma(error(b)) < luma(error(a)));
+        }
+
+        #[test]
+        fn depth_and_probability_are_also_read_in_grey(a in 0.0..1.0f64, b in 0.0..1.0f64) {
+            prop_assume!(b - a > 0.01);
+            prop_assert!(luma(depth(b)) < luma(depth(a)));
+            prop_assert!(luma(probability(b)) < luma(probability(a)));
         }
 
         #[test]

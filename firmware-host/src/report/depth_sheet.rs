@@ -7,6 +7,8 @@ use super::{
     canvas::{Canvas, Font},
     colors::{self, Rgb},
     depth_sample::{SampledDepth, SheetRow},
+    depth_scale::{DepthScale, hatch},
+    percent,
 };
 
 /// Name of the file in the output directory.
@@ -15,7 +17,6 @@ pub const DEPTH_FILE: &str = "depth.png";
 const PAGE: Rgb = [255, 255, 255];
 const INK: Rgb = [40, 44, 52];
 const FAINT: Rgb = [110, 116, 126];
-const NO_DEPTH: [Rgb; 2] = [[92, 94, 99], [112, 114, 119]];
 
 const GAP: i64 = 12;
 /// Heights in pixels: of the title with the column headings, of a row's caption, of the colour
@@ -27,10 +28,6 @@ const BARS: i64 = 64;
 const MAX_ERROR: f32 = 0.5;
 /// The caption counts pixels with at least this probability.
 const CONFIDENT: f32 = 0.9;
-/// Depths that may be labelled on the colour bar, metres.
-const TICKS_M: [f32; 14] =
-    [0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0];
-
 /// The possible columns of the sheet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Column {
@@ -49,6 +46,8 @@ pub struct DepthSheet<'a> {
     pub title: &'a str,
     /// The rows from top to bottom. All of them must have the same size.
     pub rows: &'a [SheetRow],
+    /// The colours of depth, which are the same in all images of a run.
+    pub scale: DepthScale,
 }
 
 impl DepthSheet<'_> {
@@ -82,7 +81,6 @@ impl DepthSheet<'_> {
             });
         }
         let columns = self.columns();
-        let scale = DepthScale::of(self.rows.iter());
         let layout = Layout {
             columns: columns.len() as i64,
             rows: self.rows.len() as i64,
@@ -115,10 +113,10 @@ impl DepthSheet<'_> {
                     Font::Label,
                     FAINT,
                 );
-                self.draw_cell(&mut canvas, *column, row, &scale, (x, y + CAPTION));
+                self.draw_cell(&mut canvas, *column, row, (x, y + CAPTION));
             }
         }
-        draw_bars(&mut canvas, &layout, &scale, &columns);
+        draw_bars(&mut canvas, &layout, &self.scale, &columns);
         Ok(Some(canvas))
     }
 
@@ -168,10 +166,8 @@ impl DepthSheet<'_> {
             Column::Confidence => self.evaluated(row).map_or_else(String::new, |depth| {
                 let confident =
                     depth.confidence.iter().filter(|confidence| **confidence >= CONFIDENT).count();
-                format!(
-                    "{:.0} % of pixels above {CONFIDENT}",
-                    100.0 * confident as f64 / depth.confidence.len().max(1) as f64
-                )
+                let share = confident as f64 / depth.confidence.len().max(1) as f64;
+                format!("{} of pixels above {CONFIDENT}", percent(share))
             }),
             Column::Error => match self.evaluated(row).and_then(|depth| depth.abs_rel) {
                 Some(abs_rel) => format!("mean {:.0} %", 100.0 * abs_rel),
@@ -180,14 +176,8 @@ impl DepthSheet<'_> {
         }
     }
 
-    fn draw_cell(
-        &self,
-        canvas: &mut Canvas,
-        column: Column,
-        row: &SheetRow,
-        scale: &DepthScale,
-        at: (i64, i64),
-    ) {
+    fn draw_cell(&self, canvas: &mut Canvas, column: Column, row: &SheetRow, at: (i64, i64)) {
+        let scale = &self.scale;
         let evaluated = self.evaluated(row);
         let truth = row.truth.as_deref();
         for index in 0..row.width * row.height {
@@ -197,7 +187,7 @@ impl DepthSheet<'_> {
                 Column::Network => scale.color_of(depth_at(row.network.as_ref(), index)),
                 Column::Confidence => {
                     let confidence = evaluated.map_or(0.0, |depth| depth.confidence[index]);
-                    (confidence > 0.0).then(|| colors::error(1.0 - f64::from(confidence)))
+                    (confidence > 0.0).then(|| colors::probability(f64::from(confidence)))
                 }
                 Column::Truth => scale.color_of(truth.map_or(0.0, |truth| truth[index])),
                 Column::Error => {
@@ -223,85 +213,14 @@ fn depth_caption(depth: Option<&SampledDepth>) -> String {
     match depth {
         None => "no depth".to_owned(),
         Some(SampledDepth { delta1: Some(delta1), share, .. }) => {
-            format!("{:.0} % of pixels, delta1 {delta1:.2} unscaled", 100.0 * share)
+            format!("{} of pixels, delta1 {delta1:.2} unscaled", percent(*share))
         }
-        Some(SampledDepth { share, .. }) => format!("{:.0} % of pixels", 100.0 * share),
+        Some(SampledDepth { share, .. }) => format!("{} of pixels", percent(*share)),
     }
-}
-
-/// Grey stripes for pixels without a value, which cannot be confused with a colour of the scales.
-pub(super) fn hatch(x: i64, y: i64) -> Rgb {
-    NO_DEPTH[usize::from((x + y).rem_euclid(8) < 2)]
 }
 
 fn error_color(relative: f32) -> Rgb {
     colors::error(f64::from(relative / MAX_ERROR))
-}
-
-/// The common logarithmic colour scale of all depths of a sheet.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct DepthScale {
-    near_m: f32,
-    far_m: f32,
-}
-
-impl DepthScale {
-    /// A scale from the 1st to the 99th percentile of the ground truth or, without it, of the
-    /// estimated depths.
-    pub fn of<'a>(rows: impl Iterator<Item = &'a SheetRow> + Clone) -> Self {
-        let truth = rows.clone().filter_map(|row| row.truth.as_deref());
-        let estimated = rows
-            .flat_map(|row| [&row.coarse, &row.network])
-            .flatten()
-            .map(|depth| &depth.depth_m[..]);
-        let mut depths = valid(truth);
-        if depths.is_empty() {
-            depths = valid(estimated);
-        }
-        depths.sort_unstable_by(f32::total_cmp);
-        let near_m = depths.get(depths.len() / 100).copied().unwrap_or(0.3);
-        let far_m = depths.get(depths.len() * 99 / 100).copied().unwrap_or(10.0);
-        // An image of a single wall still needs a range.
-        Self { near_m, far_m: far_m.max(1.2 * near_m) }
-    }
-
-    /// Position on the scale: 0 at the near end, 1 at the far end.
-    fn share(&self, depth_m: f32) -> f32 {
-        (depth_m / self.near_m).ln() / (self.far_m / self.near_m).ln()
-    }
-
-    /// The labels of the colour bar with their positions. Labels that would touch the one before
-    /// are left out.
-    fn ticks(&self) -> Vec<(f32, String)> {
-        let mut ticks: Vec<(f32, String)> = Vec::new();
-        for tick_m in TICKS_M {
-            let share = self.share(tick_m);
-            let fits = ticks.last().is_none_or(|(last, _)| share - last > 0.1);
-            if fits && (0.0..=1.0).contains(&share) {
-                ticks.push((share, format!("{tick_m}")));
-            }
-        }
-        ticks
-    }
-
-    fn color(&self, depth_m: f32) -> Rgb {
-        near_warm(self.share(depth_m))
-    }
-
-    /// `None` for a depth of 0, which means that there is none.
-    pub fn color_of(&self, depth_m: f32) -> Option<Rgb> {
-        (depth_m > 0.0).then(|| self.color(depth_m))
-    }
-}
-
-fn valid<'a>(depths: impl Iterator<Item = &'a [f32]>) -> Vec<f32> {
-    depths.flatten().copied().filter(|depth| *depth > 0.0).collect()
-}
-
-/// Turbo without its darkest ends, so that the extreme depths still differ from the text colour.
-/// Near is warm.
-fn near_warm(share: f32) -> Rgb {
-    colors::turbo(0.05 + 0.88 * (1.0 - f64::from(share).clamp(0.0, 1.0)))
 }
 
 /// Positions of the cells on the page, pixels.
@@ -336,13 +255,13 @@ fn draw_bars(canvas: &mut Canvas, layout: &Layout, scale: &DepthScale, columns: 
     let y = layout.page_height() - BARS + 14;
     let bar = Bar { x: GAP + Font::Label.width("depth (m) "), y, width: 300 };
     let ticks = scale.ticks();
-    bar.draw(canvas, "depth (m)", near_warm, &ticks);
+    bar.draw(canvas, "depth (m)", |share| colors::depth(f64::from(share)), &ticks);
     let mut right = bar.x + bar.width + 40;
     if columns.contains(&Column::Confidence) {
         let bar = Bar { x: right + Font::Label.width("probability "), y, width: 160 };
         let ticks =
             [(0.0, "0"), (0.5, "0.5"), (1.0, "1")].map(|(at, label)| (at, label.to_owned()));
-        bar.draw(canvas, "probability", |share| colors::error(1.0 - f64::from(share)), &ticks);
+        bar.draw(canvas, "probability", |share| colors::probability(f64::from(share)), &ticks);
         right = bar.x + bar.width + 40;
     }
     if columns.contains(&Column::Error) {

@@ -41,6 +41,13 @@ impl KnownCells {
         self.cells.len() / self.width
     }
 
+    /// Area of the free cells, square metres.
+    #[must_use]
+    pub fn free_m2(&self) -> f64 {
+        let free = self.cells.iter().filter(|cell| **cell == CellState::Free).count();
+        free as f64 * self.resolution_m * self.resolution_m
+    }
+
     /// The cells as plots take them.
     #[must_use]
     pub fn as_cells(&self) -> Cells<'_, CellState> {

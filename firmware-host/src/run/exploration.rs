@@ -21,7 +21,9 @@ use crate::config::Config;
 use crate::map::KeptMap;
 use crate::model::LiveModels;
 use crate::record::{Recorder, recorded_views, snapshot};
+use crate::report::depth_sample::{SheetRow, SheetSampler};
 use crate::report::events::EventCounts;
+use crate::report::goal_log::GoalLog;
 use crate::report::latency::Stage;
 use crate::report::summary::LidarLine;
 use crate::setup;
@@ -130,6 +132,10 @@ pub struct RunLog {
     pub trajectory: Vec<Pose2>,
     /// Places in `map` where the safety plane stopped for an obstacle, metres.
     pub trips_m: Vec<[f64; 2]>,
+    /// Goals and what became of them.
+    pub goals: GoalLog,
+    /// Frames with their depth for the report; `None` if no image of the home may be stored.
+    pub sheet: Option<SheetSampler>,
     config: crate::config::RecordingSection,
     period_ns: u64,
     started: Instant,
@@ -143,7 +149,10 @@ pub struct RunLog {
 }
 
 impl RunLog {
-    fn new(config: &Config, recorder: Option<Recorder>, models: Option<LiveModels>) -> Self {
+    /// The outputs of a run that has not begun.
+    pub fn new(config: &Config, recorder: Option<Recorder>, models: Option<LiveModels>) -> Self {
+        let stores_images = recorder.is_some() && config.recording.images;
+        let sheet = stores_images.then(SheetSampler::default);
         Self {
             recorder,
             map: None,
@@ -155,6 +164,8 @@ impl RunLog {
             path_m: 0.0,
             trajectory: Vec::new(),
             trips_m: Vec::new(),
+            goals: GoalLog::default(),
+            sheet,
             config: config.recording.clone(),
             period_ns: config.base.tick_ns(),
             started: Instant::now(),
@@ -177,6 +188,7 @@ impl RunLog {
         });
         for event in &decision.events {
             self.counts.add(event);
+            self.goals.note(event);
             if let Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } = event {
                 self.trips_m.push(decision.t_map_base().transform(*x_m, *y_m).into());
             }
@@ -206,6 +218,17 @@ impl RunLog {
         if step_m > 0.0 && self.trajectory.len() < MOST_REMEMBERED {
             self.trajectory.push(decision.t_map_base());
         }
+    }
+
+    /// Keeps a frame with its depth if it is one of those that the report shows.
+    fn sample(&mut self, robot: &Robot, input: &TickInput<'_>) {
+        let (Some(sheet), Some(frame)) = (&mut self.sheet, &input.frame) else { return };
+        let coarse = robot.coarse_depth();
+        let network = robot.network_depth();
+        let depths = usize::from(coarse.is_some()) + usize::from(network.is_some());
+        sheet.offer(input.tick, depths, || {
+            SheetRow::capture(input.tick, frame, coarse, network, None)
+        });
     }
 
     fn record(&mut self, robot: &Robot, input: &TickInput<'_>, decision: &Decision) -> Result<()> {
@@ -256,6 +279,7 @@ impl Observer for RunLog {
             models.after(robot, input, decision, late);
         }
         self.note(decision, &input.wheel);
+        self.sample(robot, input);
         self.record(robot, input, decision)?;
         self.frames += u64::from(input.frame.is_some());
         Ok(())

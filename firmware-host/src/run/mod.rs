@@ -8,6 +8,7 @@
 mod device_log;
 mod devices;
 mod exploration;
+mod images;
 mod instance_lock;
 mod last_stop;
 mod live_devices;
@@ -25,7 +26,6 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
 use drivers::fault::{Faults, FaultyClock};
-use hal::Pose2;
 use monotonic_clock::MonotonicClock;
 use monotonic_clock::monotonic_ns;
 use runtime::event::ExploreEnd;
@@ -41,9 +41,7 @@ use crate::keep_out;
 use crate::map::KeptMap;
 use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
-use crate::report::known_cells::KnownCells;
 use crate::report::latency::Stage;
-use crate::report::map_image::MapPlot;
 use crate::report::summary::{CameraLatency, LidarLine, Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
 use crate::task::TaskFile;
@@ -217,7 +215,7 @@ fn report(
     mission: &Mission,
     summary: Summary,
     robot: &Robot,
-    log: RunLog,
+    mut log: RunLog,
     late: Option<LatencyHistogram>,
 ) -> Result<()> {
     let mut summary = Summary {
@@ -228,7 +226,7 @@ fn report(
         path_m: Some(log.path_m),
         lidar_line: LidarLine::of(&log.line),
         camera_latency: CameraLatency::of(robot),
-        events: log.counts,
+        events: std::mem::take(&mut log.counts),
         latency_ms: log.stopwatch.latencies().percentiles(),
         resident_mib: peak_resident_mib(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -236,7 +234,7 @@ fn report(
     };
     let late = late.and_then(|late| late.percentiles());
     summary.latency_ms.extend(late.map(|late| (Stage::SafetyLate, late)));
-    match log.recorder.map(Recorder::finish) {
+    match log.recorder.take().map(Recorder::finish) {
         Some(Ok(recording)) => {
             summary.recording_mib = Some(recording.bytes as f64 / f64::from(1 << 20));
             summary.recording_digest = Some(recording.inputs_digest);
@@ -251,20 +249,14 @@ fn report(
     }
     summary.write(out)?;
     println!("{}", crate::report::table::render(&summary));
-    if draw_map(out, robot, &log.trajectory, &log.trips_m)? {
-        println!("See {0}/map.png; numbers are in {0}/summary.json.", out.display());
-    } else {
+    let images = images::write(out, robot, log)?;
+    if images.is_empty() {
         println!("The robot has mapped nothing; numbers are in {}/summary.json.", out.display());
+        return Ok(());
     }
+    for image in images {
+        println!("See {}/{image}.", out.display());
+    }
+    println!("Numbers are in {}/summary.json.", out.display());
     Ok(())
-}
-
-/// Draws the map in `odom`, whose position in the world is unknown. `false` if there is no map.
-fn draw_map(out: &Path, robot: &Robot, trajectory: &[Pose2], trips: &[[f64; 2]]) -> Result<bool> {
-    let Some(cells) = KnownCells::of(robot.map()) else { return Ok(false) };
-    let map = cells.as_cells();
-    let title = "the map as the robot has it";
-    let picture = MapPlot { title, figures: "", map, trajectory, goals: &[], trips, truth: None };
-    picture.write(out)?;
-    Ok(true)
 }

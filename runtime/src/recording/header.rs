@@ -119,6 +119,10 @@ pub struct SegmentHeader {
     pub first_tick: u64,
     /// Time of the first tick, monotonic.
     pub first_time_ns: u64,
+    /// Unix time at which the run's clock was zero, by the computer's date when the segment began, nanoseconds. It differs
+    /// between segments when the date was corrected. `None` in simulation, where the same run gives the same bytes.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub zero_unix_ns: Option<u64>,
     /// The run's configuration.
     pub run: RunHeader,
 }
@@ -127,7 +131,14 @@ impl SegmentHeader {
     /// The header of segment number `segment`, in the format of this program.
     #[must_use]
     pub fn new(run: RunHeader, segment: u32, first_tick: u64, first_time_ns: u64) -> Self {
-        Self { format_version: FORMAT_VERSION, segment, first_tick, first_time_ns, run }
+        Self {
+            format_version: FORMAT_VERSION,
+            segment,
+            first_tick,
+            first_time_ns,
+            zero_unix_ns: None,
+            run,
+        }
     }
 }
 
@@ -145,6 +156,18 @@ mod tests {
         let back: SegmentHeader = serde_json::from_str(&text).unwrap();
         assert_eq!(back, header);
         assert_eq!(serde_json::to_string(&back).unwrap(), text);
+    }
+
+    #[test]
+    fn a_date_comes_back_and_a_header_from_before_there_were_any_is_read() {
+        let undated = SegmentHeader::new(run_header(), 0, 0, 0);
+        let dated =
+            SegmentHeader { zero_unix_ns: Some(1_790_000_000_123_456_789), ..undated.clone() };
+        for header in [undated, dated] {
+            let text = serde_json::to_string(&header).unwrap();
+            assert_eq!(text.contains("unix"), header.zero_unix_ns.is_some());
+            assert_eq!(serde_json::from_str::<SegmentHeader>(&text).unwrap(), header);
+        }
     }
 
     #[test]

@@ -4,7 +4,8 @@
 //! cannot hold exactly is recorded beside them in `/robot/*` as JSON. A tick never spans two chunks, and a chunk is
 //! written in one piece and carries a CRC. All ticks in the complete chunks of a truncated stream can be read.
 //!
-//! All times in the stream are the run's monotonic times, so the same run gives the same bytes.
+//! All times in the stream are the run's monotonic times. The header of each segment of a real robot says which date that is; a
+//! simulated run has none, so that the same run gives the same bytes.
 
 mod container;
 mod digest;

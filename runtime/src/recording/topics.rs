@@ -90,7 +90,7 @@ fn json_schema(name: &str, text: &'static str) -> Schema {
 
 const HEADER: &str = r#"{"title":"robot.Header","type":"object","properties":{
 "format_version":{"type":"integer"},"segment":{"type":"integer"},"first_tick":{"type":"integer"},
-"first_time_ns":{"type":"integer"},
+"first_time_ns":{"type":"integer"},"zero_unix_ns":{"type":"integer"},
 "run":{"type":"object","properties":{
 "written_by":{"type":"string"},"seed":{"type":"integer"},"scene":{"type":"string"},
 "policy":{"type":"string"},"depth_source":{"type":"string"},"model_digest":{"type":"string"},"hand_over":{"type":"object"},

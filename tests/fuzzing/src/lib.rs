@@ -22,6 +22,7 @@ mod recording;
 mod scip;
 mod segment;
 mod snapshot;
+mod viewer;
 
 pub use buffer_wire::buffer_wire;
 pub use bundle::bundle;
@@ -37,12 +38,13 @@ pub use recording::recording;
 pub use scip::scip;
 pub use segment::segment;
 pub use snapshot::snapshot;
+pub use viewer::viewer;
 
 /// A property check for arbitrary bytes.
 pub type Check = fn(&[u8]);
 
 /// All checks, by the name of their target and corpus.
-pub const TARGETS: [(&str, Check); 12] = [
+pub const TARGETS: [(&str, Check); 13] = [
     ("buffer_wire", buffer_wire),
     ("bundle", bundle),
     ("can", can),
@@ -55,4 +57,5 @@ pub const TARGETS: [(&str, Check); 12] = [
     ("segment", segment),
     ("snapshot", snapshot),
     ("v4l2_queue", v4l2_queue),
+    ("viewer", viewer),
 ];

@@ -24,7 +24,7 @@ const TOPICS: [&str; 8] = [
 /// length (little-endian), and the data.
 pub fn recording(bytes: &[u8]) {
     read(bytes);
-    read(&with_checksums(bytes));
+    read(&with_checksums(bytes, &TOPICS));
 }
 
 fn read(bytes: &[u8]) {
@@ -37,13 +37,15 @@ fn read(bytes: &[u8]) {
     }
 }
 
-fn with_checksums(mut bytes: &[u8]) -> Vec<u8> {
+/// A segment with the messages that `bytes` consists of.
+pub(crate) fn with_checksums(mut bytes: &[u8], topics: &[&str]) -> Vec<u8> {
     let mut writer = mcap::WriteOptions::new()
         .compression(None)
         .create(Cursor::new(Vec::new()))
         .expect("writing to memory succeeds");
-    let channels =
-        TOPICS.map(|topic| writer.add_channel(0, topic, "", &BTreeMap::new()).expect("a channel"));
+    let channel = |topic: &&str| writer.add_channel(0, topic, "", &BTreeMap::new());
+    let channels: Vec<u16> =
+        topics.iter().map(channel).collect::<Result<_, _>>().expect("few channels");
     while let Some((&[channel, low, high], rest)) = bytes.split_first_chunk() {
         let (data, rest) =
             rest.split_at(usize::from(u16::from_le_bytes([low, high])).min(rest.len()));

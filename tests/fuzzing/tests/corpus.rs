@@ -55,6 +55,11 @@ fn any_messages_in_a_recording_are_handled() {
 }
 
 #[test]
+fn any_messages_are_exported_for_viewers() {
+    run_corpus("viewer");
+}
+
+#[test]
 fn any_bytes_as_a_pushed_model_are_handled() {
     run_corpus("bundle");
 }

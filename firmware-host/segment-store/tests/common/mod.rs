@@ -7,9 +7,11 @@ use std::path::Path;
 use std::time::Duration;
 
 use hal::{CameraModel, Pose2, VirtualClock, WheelFeedback, camera_mount};
+use runtime::event::Event;
 use runtime::recording::{
     RecordedTick, RecordingWriter, RgbImage, RunHeader, SegmentHeader, Views,
 };
+use runtime::tick::{Command, Decision};
 use segment_store::pull::{Destination, FileSystem, Options, Report, pull};
 use segment_store::source::{Remote, Source};
 use segment_store::{CpuFeatures, Root, StoreError};
@@ -54,6 +56,25 @@ pub fn some_tick(tick: u64) -> RecordedTick {
             rgb: (0..16 * 12 * 3).map(|_| noise.next() as u8).collect(),
         }),
         ..RecordedTick::new(tick, time_ns)
+    }
+}
+
+/// The decision of a robot that stands at the start.
+pub fn decision(tick: u64, events: Vec<Event>) -> Decision {
+    Decision {
+        tick,
+        time_ns: tick * 100_000_000,
+        desired: Command::default(),
+        sent: None,
+        goal_m: Some([1.5, -2.0]),
+        t_odom_base: Pose2::IDENTITY,
+        t_odom_base_at_frame: Pose2::IDENTITY,
+        t_map_odom: Pose2::IDENTITY,
+        lost: None,
+        events,
+        input_digest: 0,
+        depth_digest: 0,
+        map_digest: 0,
     }
 }
 

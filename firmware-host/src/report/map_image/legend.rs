@@ -55,22 +55,28 @@ fn markers(picture: &MapPlot<'_>, has_path: bool, row: &mut Row<'_>) {
         row.label("start");
     }
     marks::arrow(row.canvas, row.marker(), 0.0, 7.0);
-    row.label(if has_path { "robot at the end" } else { "robot" });
-    for (fate, label) in [
-        (GoalFate::Reached, "goal reached"),
-        (GoalFate::Seen, "goal seen from afar"),
-        (GoalFate::Dropped, "goal given up"),
-        (GoalFate::Open, "last goal"),
-    ] {
-        if picture.goals.iter().any(|goal| goal.fate == fate) {
+    row.label(&robot(picture));
+    for fate in GoalFate::ALL {
+        let count = picture.goals.iter().filter(|goal| goal.fate == fate).count();
+        if count > 0 {
             marks::goal_marker(row.canvas, row.marker(), fate);
-            row.label(label);
+            row.label(&format!("{count} {}", fate.name(count)));
         }
     }
-    if !picture.trips.is_empty() {
+    let stops = picture.trips.len();
+    if stops > 0 {
         marks::trip_marker(row.canvas, row.marker());
-        row.label("safety stop");
+        row.label(&format!("{stops} safety stop{}", if stops == 1 { "" } else { "s" }));
     }
+}
+
+/// The robot's heading at the end: 0 degrees is along x, and the angle grows to the left.
+fn robot(picture: &MapPlot<'_>) -> String {
+    let heading = picture.path().last().filter(|pose| pose.is_finite());
+    heading.map_or_else(
+        || "robot".to_owned(),
+        |pose| format!("robot, heading {:.0} deg", pose.yaw_rad.to_degrees()),
+    )
 }
 
 /// A row of the legend and the position of its next entry, pixels.

@@ -4,39 +4,74 @@ use hal::Pose2;
 
 use super::view::View;
 use super::{END, FAINT, GOAL, Goal, GoalFate, INK, PAGE, SEEN, START, TRIP};
-use crate::report::canvas::Canvas;
+use crate::report::canvas::{Canvas, Font};
 
-/// Markers nearer to each other than this are drawn once, pixels.
+/// Markers of different kinds nearer to each other than this would cover each other, pixels.
 const APART: f64 = 11.0;
+/// Goals of one fate and stops within this distance share a marker with their number, pixels. A strip of forty goals would
+/// otherwise be unreadable.
+const TOGETHER: f64 = 30.0;
 
-/// Draws goals: the reached ones above the others, and of goals on one spot only the first.
+/// Draws goals: the reached ones above the others.
 pub(super) fn goals(canvas: &mut Canvas, view: &View, goals: &[Goal]) {
-    let mut drawn: Vec<[f64; 2]> = Vec::new();
-    for fate in [GoalFate::Open, GoalFate::Reached, GoalFate::Seen, GoalFate::Dropped] {
-        for goal in goals.iter().filter(|goal| goal.fate == fate) {
-            let at = view.pixel(goal.at_m);
-            if !is_taken(at, &drawn) {
-                goal_marker(canvas, at, fate);
-                drawn.push(at);
+    let mut drawn: Vec<Group> = Vec::new();
+    for fate in GoalFate::ALL {
+        let places = goals.iter().filter(|goal| goal.fate == fate);
+        for group in grouped(places.map(|goal| view.pixel(goal.at_m))) {
+            if drawn.iter().all(|other| other.distance(group.at) >= APART) {
+                goal_marker(canvas, group.at, fate);
+                group.draw_count(canvas);
+                drawn.push(group);
             }
         }
     }
 }
 
-/// Draws safety stops, of stops on one spot only the first.
+/// Draws safety stops.
 pub(super) fn trips(canvas: &mut Canvas, view: &View, trips: &[[f64; 2]]) {
-    let mut drawn: Vec<[f64; 2]> = Vec::new();
-    for trip in trips {
-        let at = view.pixel(*trip);
-        if !is_taken(at, &drawn) {
-            trip_marker(canvas, at);
-            drawn.push(at);
-        }
+    for group in grouped(trips.iter().map(|trip| view.pixel(*trip))) {
+        trip_marker(canvas, group.at);
+        group.draw_count(canvas);
     }
 }
 
-fn is_taken(at: [f64; 2], drawn: &[[f64; 2]]) -> bool {
-    drawn.iter().any(|other| (at[0] - other[0]).hypot(at[1] - other[1]) < APART)
+/// Markers that are drawn as one.
+struct Group {
+    /// Place of the first of them, pixels.
+    at: [f64; 2],
+    count: usize,
+}
+
+impl Group {
+    fn distance(&self, at: [f64; 2]) -> f64 {
+        (at[0] - self.at[0]).hypot(at[1] - self.at[1])
+    }
+
+    /// Writes the number of markers beside a group, with a white edge that sets it off from walls.
+    fn draw_count(&self, canvas: &mut Canvas) {
+        if self.count < 2 {
+            return;
+        }
+        let text = self.count.to_string();
+        let x = self.at[0] as i64 + 9;
+        let y = self.at[1] as i64 - 8;
+        for (right, down) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+            canvas.text(x + right, y + down, &text, Font::Label, PAGE);
+        }
+        canvas.text(x, y, &text, Font::Label, INK);
+    }
+}
+
+/// Puts every place into the group of the first place near it.
+fn grouped(places: impl Iterator<Item = [f64; 2]>) -> Vec<Group> {
+    let mut groups: Vec<Group> = Vec::new();
+    for at in places {
+        match groups.iter_mut().find(|group| group.distance(at) < TOGETHER) {
+            Some(group) => group.count += 1,
+            None => groups.push(Group { at, count: 1 }),
+        }
+    }
+    groups
 }
 
 pub(super) fn goal_marker(canvas: &mut Canvas, center: [f64; 2], fate: GoalFate) {
@@ -98,5 +133,28 @@ impl Wedge {
     fn point(&self, ahead: f64, left: f64) -> [f64; 2] {
         let (sin, cos) = self.yaw_rad.sin_cos();
         [self.at[0] + ahead * cos - left * sin, self.at[1] - ahead * sin - left * cos]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn forty_goals_in_a_strip_are_a_few_markers_that_add_up() {
+        let groups = grouped((0..40).map(|index| [3.0 * f64::from(index), 50.0]));
+        assert!((2..=5).contains(&groups.len()), "{}", groups.len());
+        assert_eq!(groups.iter().map(|group| group.count).sum::<usize>(), 40);
+        assert!(groups.windows(2).all(|pair| pair[0].distance(pair[1].at) >= TOGETHER));
+    }
+
+    #[test]
+    fn a_goal_by_itself_has_no_number() {
+        let mut canvas = Canvas::new(60, 40, PAGE);
+        let untouched = canvas.bytes().to_vec();
+        Group { at: [20.0, 20.0], count: 1 }.draw_count(&mut canvas);
+        assert_eq!(canvas.bytes(), untouched);
+        Group { at: [20.0, 20.0], count: 12 }.draw_count(&mut canvas);
+        assert_ne!(canvas.bytes(), untouched);
     }
 }

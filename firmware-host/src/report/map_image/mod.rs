@@ -121,6 +121,22 @@ pub enum GoalFate {
     Dropped,
 }
 
+impl GoalFate {
+    /// All fates, in the order of drawing.
+    pub(super) const ALL: [Self; 4] = [Self::Open, Self::Reached, Self::Seen, Self::Dropped];
+
+    /// Words that follow a number of goals.
+    pub(super) fn name(self, count: usize) -> &'static str {
+        match (self, count) {
+            (Self::Open, _) => "current goal",
+            (Self::Reached, 1) => "goal reached",
+            (Self::Reached, _) => "goals reached",
+            (Self::Seen, _) => "seen from afar",
+            (Self::Dropped, _) => "given up",
+        }
+    }
+}
+
 /// A goal of the exploration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Goal {
@@ -217,16 +233,22 @@ impl MapPlot<'_> {
         let Some(truth) = &self.truth else {
             return draw_timed(canvas, &steps(self.trajectory, view));
         };
-        draw_timed(canvas, &steps(truth.trajectory, view));
+        // The believed path is below the true one, so that it is seen only where it is wrong.
         for pair in steps(self.trajectory, view).windows(2) {
-            canvas.line(pair[0].1, pair[1].1, 1.3, BELIEVED, 0.9);
+            canvas.line(pair[0].1, pair[1].1, 2.0, BELIEVED, 1.0);
         }
+        draw_timed(canvas, &steps(truth.trajectory, view));
+    }
+
+    /// The true path where it is known, otherwise the believed one.
+    fn path(&self) -> &[Pose2] {
+        self.truth.map_or(self.trajectory, |truth| truth.trajectory)
     }
 
     fn draw_markers(&self, canvas: &mut Canvas, view: &View) {
         marks::goals(canvas, view, self.goals);
         marks::trips(canvas, view, self.trips);
-        let path = self.truth.map_or(self.trajectory, |truth| truth.trajectory);
+        let path = self.path();
         if let (Some(start), Some(end)) = (path.first(), path.last()) {
             if path.len() > 1 {
                 marks::dot(canvas, view.pixel([start.x_m, start.y_m]));
@@ -262,9 +284,14 @@ fn draw_timed(canvas: &mut Canvas, points: &[(f64, [f64; 2])]) {
     }
 }
 
+/// Whether lines at every metre are far enough apart to be seen.
+fn has_grid(view: &View) -> bool {
+    view.pixels_per_m >= 20.0
+}
+
 /// Draws a line at every metre.
 fn draw_grid(canvas: &mut Canvas, view: &View) {
-    if view.pixels_per_m < 20.0 {
+    if !has_grid(view) {
         return;
     }
     for (x, y) in view.pixels() {
@@ -280,7 +307,7 @@ fn draw_grid(canvas: &mut Canvas, view: &View) {
 fn draw_coordinates(canvas: &mut Canvas, view: &View) {
     // At this scale the numbers of neighbouring lines do not touch.
     let step = if view.pixels_per_m < 50.0 { 5 } else { 1 };
-    if view.pixels_per_m < 20.0 {
+    if !has_grid(view) {
         return;
     }
     let [right_m, top_m] = view.meters(view.left + view.width, view.top);
@@ -303,11 +330,12 @@ fn draw_coordinates(canvas: &mut Canvas, view: &View) {
 
 /// Draws a scale bar of 1 m, or of 10 m if 1 m is too short to see.
 fn draw_scale_bar(canvas: &mut Canvas, view: &View) {
-    let length_m = if view.pixels_per_m < 20.0 { 10.0 } else { 1.0 };
+    let length_m = if has_grid(view) { 1.0 } else { 10.0 };
     let length = (length_m * view.pixels_per_m).round() as i64;
     let x = view.left + 14;
     let y = view.top + view.height - 20;
-    canvas.fill(x - 6, y - 24, length.max(40) + 12, 36, PAGE);
+    let text = if has_grid(view) { "1 m, as the grid" } else { "10 m" };
+    canvas.fill(x - 6, y - 24, length.max(Font::Label.width(text)) + 12, 36, PAGE);
     canvas.fill(x, y, length, 4, INK);
-    canvas.text(x, y - 20, &format!("{length_m} m"), Font::Label, INK);
+    canvas.text(x, y - 20, text, Font::Label, INK);
 }

@@ -13,11 +13,13 @@ from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.commands.loop import parse_job
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.studies.bootstrap import hierarchical_bootstrap
+from embodied_depth_trainer.studies.figures import POLICY_COLORS
 from embodied_depth_trainer.studies.jobs import read_jobs
 from embodied_depth_trainer.studies.results import contrasts
 from embodied_depth_trainer.studies.study import (
     CELLS_FILE,
     COLUMNS,
+    POLICY_ORDER,
     SETTINGS_FILE,
     collect,
     read_study,
@@ -109,6 +111,11 @@ def test_the_report_is_made_from_the_compact_files_alone(tmp_path: Path) -> None
     assert (out / "factorial.md").read_text() == first
     for figure in ("factorial_policies.png", "factorial_curves.png"):
         assert (out / figure).read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_policy_has_its_own_colour_whatever_else_a_panel_shows() -> None:
+    assert set(POLICY_COLORS) == set(POLICY_ORDER)
+    assert len(set(POLICY_COLORS.values())) == len(POLICY_ORDER)
 
 
 def test_loops_with_different_settings_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

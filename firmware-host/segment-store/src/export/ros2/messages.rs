@@ -1,8 +1,10 @@
 //! Encoding of recorded ticks as ROS messages. The recording already uses ROS frames and units (REP-103, REP-105).
 
 use hal::{CameraModel, Distortion, LaserScan, Pose2, Pose3, Range, Twist2};
-use runtime::recording::RgbImage;
+use runtime::recording::{RgbImage, Severity, lost_reason, sentence};
+use runtime::tick::Decision;
 
+use super::super::maps::Map;
 use super::cdr::Cdr;
 
 /// builtin_interfaces/Time.
@@ -131,4 +133,67 @@ pub(super) fn transforms(transforms: &[Transform]) -> Vec<u8> {
         pose(&mut cdr, &transform.pose);
     }
     cdr.into_bytes()
+}
+
+/// nav_msgs/OccupancyGrid.
+pub(super) fn occupancy_grid(stamp: Stamp, map: &Map) -> Vec<u8> {
+    let mut cdr = Cdr::new();
+    header(&mut cdr, stamp, "map");
+    cdr.i32(stamp.sec);
+    cdr.u32(stamp.nanosec);
+    cdr.f32(map.cell_m as f32);
+    cdr.u32(map.columns);
+    cdr.u32(map.rows);
+    let [x_m, y_m] = map.origin_m;
+    pose(&mut cdr, &Pose2 { x_m, y_m, yaw_rad: 0.0 }.to_pose3());
+    cdr.length(map.occupancy.len());
+    map.occupancy.iter().for_each(|value| cdr.u8(value.to_le_bytes()[0]));
+    cdr.into_bytes()
+}
+
+/// diagnostic_msgs/DiagnosticArray with one status: what the robot decided, and why.
+pub(super) fn diagnostics(stamp: Stamp, decision: &Decision) -> Vec<u8> {
+    let mut level = 0;
+    let mut message = Vec::new();
+    for (severity, text) in decision.events.iter().map(sentence) {
+        level = level.max(match severity {
+            Severity::Info => 0,
+            Severity::Warning => 1,
+            Severity::Error => 2,
+        });
+        message.push(text);
+    }
+    let mut cdr = Cdr::new();
+    header(&mut cdr, stamp, "");
+    cdr.length(1);
+    cdr.u8(level);
+    cdr.string("embodied_depth: decision");
+    cdr.string(&message.join("; "));
+    cdr.string("");
+    let values = values(decision);
+    cdr.length(values.len());
+    for (key, value) in values {
+        cdr.string(key);
+        cdr.string(&value);
+    }
+    cdr.into_bytes()
+}
+
+/// The numbers of a decision. What a decision does not have is absent.
+fn values(decision: &Decision) -> Vec<(&'static str, String)> {
+    let mut values = vec![
+        ("tick", decision.tick.to_string()),
+        ("desired_mps", decision.desired.linear_mps.to_string()),
+        ("desired_radps", decision.desired.angular_radps.to_string()),
+    ];
+    if let Some(sent) = &decision.sent {
+        values.push(("sent_mps", sent.linear_mps.to_string()));
+        values.push(("sent_radps", sent.angular_radps.to_string()));
+    }
+    if let Some([x_m, y_m]) = decision.goal_m {
+        values.push(("goal_x_m", x_m.to_string()));
+        values.push(("goal_y_m", y_m.to_string()));
+    }
+    values.extend(decision.lost.map(|why| ("lost", lost_reason(why).to_owned())));
+    values
 }

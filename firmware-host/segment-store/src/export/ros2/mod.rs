@@ -20,7 +20,9 @@ use runtime::recording::{RecordedTick, SegmentHeader};
 
 use self::messages::{Stamp, Transform};
 use self::topics::Topic;
+use super::dates::Dates;
 use super::folder::new_folder;
+use super::maps::{Map, maps};
 use super::ticks::each_tick;
 use crate::error::StoreError;
 use crate::recover::failure;
@@ -34,14 +36,18 @@ pub struct RosbagSummary {
     pub images: u64,
     /// The number of laser scans among them.
     pub scans: u64,
+    /// The number of maps among them.
+    pub maps: u64,
     /// The number of ticks without a pose, for which the bag has neither odometry nor a transform.
     pub without_pose: u64,
     /// The number of segments that end early; their complete ticks are exported.
     pub cut: u64,
+    /// Whether the dates are from the recording. Otherwise the run begins when its first file was written.
+    pub dated: bool,
 }
 
 /// Exports the run that consists of `segments`, in this order, as a bag into the new directory `to`: images, calibration, scans,
-/// odometry and transforms. Times are those of the run's monotonic clock, which starts when the robot's computer boots.
+/// odometry, transforms, maps and decisions. Times are dates: a time of zero, at which a simulation begins, means "the latest" to TF.
 ///
 /// # Errors
 /// When `to` exists already or cannot be written, or a segment is not a recording.
@@ -49,8 +55,10 @@ pub fn ros2(segments: &[PathBuf], to: &Path) -> Result<RosbagSummary, StoreError
     let name = format!("{}_0.mcap", to.file_name().unwrap_or_default().to_string_lossy());
     new_folder(to, |dir| {
         let path = dir.join(&name);
-        let mut bag = Bag::begin(&path).map_err(|error| failure(error, &path, to))?;
+        let dates = Dates::of(segments)?;
+        let mut bag = Bag::begin(&path, dates).map_err(|error| failure(error, &path, to))?;
         for segment in segments {
+            bag.maps = maps(segment)?;
             let one = std::slice::from_ref(segment);
             bag.bagged.cut += each_tick(one, |header, tick| {
                 bag.tick(header, tick).map_err(|error| tick_error(error, segment, to))
@@ -64,6 +72,9 @@ pub fn ros2(segments: &[PathBuf], to: &Path) -> Result<RosbagSummary, StoreError
 }
 
 struct Bag {
+    dates: Dates,
+    /// The maps of the present segment that are not written yet, by the time of their tick.
+    maps: BTreeMap<u64, Map>,
     mcap: Writer<BufWriter<File>>,
     /// The channel id and the message count of each topic that has messages.
     channels: [Option<(u16, u64)>; Topic::ALL.len()],
@@ -75,7 +86,7 @@ struct Bag {
 }
 
 impl Bag {
-    fn begin(path: &Path) -> Result<Self, McapError> {
+    fn begin(path: &Path, dates: Dates) -> Result<Self, McapError> {
         let options = WriteOptions::new()
             .profile("ros2")
             .library(concat!("embodied-depth ", env!("CARGO_PKG_VERSION")))
@@ -84,16 +95,18 @@ impl Bag {
         let mcap = options.create(BufWriter::new(File::create_new(path)?))?;
         let channels = [None; Topic::ALL.len()];
         Ok(Self {
+            dates,
+            maps: BTreeMap::new(),
             mcap,
             channels,
             times_ns: None,
             wheel_ns: None,
-            bagged: RosbagSummary::default(),
+            bagged: RosbagSummary { dated: dates.recorded, ..RosbagSummary::default() },
         })
     }
 
     fn tick(&mut self, header: &SegmentHeader, tick: &RecordedTick) -> Result<(), McapError> {
-        let at_ns = tick.time_ns;
+        let at_ns = self.dates.unix_ns(tick.time_ns);
         let stamp = ros_time(at_ns)?;
         if self.times_ns.is_none() {
             let mounts = [
@@ -108,15 +121,23 @@ impl Bag {
             self.bagged.images += 1;
         }
         if let Some(scan) = &tick.scan {
-            self.put(Topic::Scan, at_ns, &messages::laser_scan(ros_time(scan.time_ns)?, scan))?;
+            let taken = ros_time(self.dates.unix_ns(scan.time_ns))?;
+            self.put(Topic::Scan, at_ns, &messages::laser_scan(taken, scan))?;
             self.bagged.scans += 1;
+        }
+        if let Some(map) = self.maps.remove(&tick.time_ns) {
+            self.put(Topic::Map, at_ns, &messages::occupancy_grid(stamp, &map))?;
+            self.bagged.maps += 1;
+        }
+        if let Some(decision) = &tick.decision {
+            self.put(Topic::Diagnostics, at_ns, &messages::diagnostics(stamp, decision))?;
         }
         self.wheel(tick)
     }
 
     /// Writes odometry only when the wheel feedback is new: the loop repeats the last feedback when none was received.
     fn wheel(&mut self, tick: &RecordedTick) -> Result<(), McapError> {
-        let at_ns = tick.time_ns;
+        let at_ns = self.dates.unix_ns(tick.time_ns);
         let wheel = &tick.wheel;
         if self.wheel_ns.replace(wheel.time_ns) == Some(wheel.time_ns) {
             return Ok(());
@@ -125,7 +146,7 @@ impl Bag {
             self.bagged.without_pose += 1;
             return Ok(());
         }
-        let stamp = ros_time(wheel.time_ns)?;
+        let stamp = ros_time(self.dates.unix_ns(wheel.time_ns))?;
         let t_odom_base = tick.t_odom_base();
         let t_map_odom = tick.decision.as_ref().map_or(Pose2::IDENTITY, |made| made.t_map_odom);
         let poses = [

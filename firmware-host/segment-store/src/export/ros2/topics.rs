@@ -8,11 +8,21 @@ pub(super) enum Topic {
     Odom,
     Tf,
     TfStatic,
+    Map,
+    Diagnostics,
 }
 
 impl Topic {
-    pub(super) const ALL: [Self; 6] =
-        [Self::Image, Self::CameraInfo, Self::Scan, Self::Odom, Self::Tf, Self::TfStatic];
+    pub(super) const ALL: [Self; 8] = [
+        Self::Image,
+        Self::CameraInfo,
+        Self::Scan,
+        Self::Odom,
+        Self::Tf,
+        Self::TfStatic,
+        Self::Map,
+        Self::Diagnostics,
+    ];
 
     pub(super) fn name(self) -> &'static str {
         match self {
@@ -22,6 +32,8 @@ impl Topic {
             Self::Odom => "/odom",
             Self::Tf => "/tf",
             Self::TfStatic => "/tf_static",
+            Self::Map => "/map",
+            Self::Diagnostics => "/diagnostics",
         }
     }
 
@@ -32,13 +44,15 @@ impl Topic {
             Self::Scan => "sensor_msgs/msg/LaserScan",
             Self::Odom => "nav_msgs/msg/Odometry",
             Self::Tf | Self::TfStatic => "tf2_msgs/msg/TFMessage",
+            Self::Map => "nav_msgs/msg/OccupancyGrid",
+            Self::Diagnostics => "diagnostic_msgs/msg/DiagnosticArray",
         }
     }
 
-    /// The offered QoS profile in the format of rosbag2; empty for the default. Static transforms are latched, so that late
-    /// subscribers receive them.
+    /// The offered QoS profile in the format of rosbag2; empty for the default. Static transforms and the map are latched, so that
+    /// late subscribers receive them, as from Nav2's map_server.
     pub(super) fn qos(self) -> &'static str {
-        if self == Self::TfStatic { LATCHED } else { "" }
+        if matches!(self, Self::TfStatic | Self::Map) { LATCHED } else { "" }
     }
 
     /// The message definition with all definitions that it uses, in MCAP's `ros2msg` format.
@@ -64,6 +78,8 @@ impl Topic {
             Self::Tf | Self::TfStatic => {
                 (TF_MESSAGE, &[TRANSFORM_STAMPED, TRANSFORM, VECTOR, QUATERNION, HEADER, TIME])
             }
+            Self::Map => (OCCUPANCY_GRID, &[MAP_META_DATA, POSE, POINT, QUATERNION, HEADER, TIME]),
+            Self::Diagnostics => (DIAGNOSTIC_ARRAY, &[DIAGNOSTIC_STATUS, KEY_VALUE, HEADER, TIME]),
         };
         let line = "=".repeat(80);
         uses.iter()
@@ -86,6 +102,10 @@ const LASER_SCAN: &str = "std_msgs/Header header\nfloat32 angle_min\nfloat32 ang
 const ODOMETRY: &str = "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n\
      geometry_msgs/TwistWithCovariance twist\n";
 const TF_MESSAGE: &str = "geometry_msgs/TransformStamped[] transforms\n";
+
+const OCCUPANCY_GRID: &str = "std_msgs/Header header\nnav_msgs/MapMetaData info\nint8[] data\n";
+const DIAGNOSTIC_ARRAY: &str =
+    "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status\n";
 
 const TIME: (&str, &str) = ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n");
 const HEADER: (&str, &str) =
@@ -114,3 +134,13 @@ const TRANSFORM_STAMPED: (&str, &str) = (
     "geometry_msgs/TransformStamped",
     "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n",
 );
+const MAP_META_DATA: (&str, &str) = (
+    "nav_msgs/MapMetaData",
+    "builtin_interfaces/Time map_load_time\nfloat32 resolution\nuint32 width\nuint32 height\ngeometry_msgs/Pose origin\n",
+);
+const DIAGNOSTIC_STATUS: (&str, &str) = (
+    "diagnostic_msgs/DiagnosticStatus",
+    "byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\nbyte level\nstring name\nstring message\nstring hardware_id\n\
+     diagnostic_msgs/KeyValue[] values\n",
+);
+const KEY_VALUE: (&str, &str) = ("diagnostic_msgs/KeyValue", "string key\nstring value\n");

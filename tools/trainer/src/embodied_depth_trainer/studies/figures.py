@@ -10,6 +10,16 @@ from matplotlib.figure import Figure
 from embodied_depth_trainer.studies.plots import save
 from embodied_depth_trainer.studies.study import Study
 
+# Okabe and Ito's colours, which eyes that do not tell red from green distinguish, too. A policy has the same colour in
+# every panel and every study, whichever policies the study has.
+POLICY_COLORS = {
+    "random": "#0072b2",
+    "active": "#e69f00",
+    "frontier": "#009e73",
+    "inconsistency": "#cc79a7",
+    "heuristic": "#56b4e9",
+    "forward": "#d55e00",
+}
 METRIC_TITLES = {"delta1": "delta1 (median-scaled)", "delta1_unscaled": "delta1 (without scaling)"}
 
 
@@ -52,7 +62,14 @@ def draw_curves(study: Study, file: Path) -> None:
                 if runs:
                     frames = [point.frames for point in runs[0].curve]
                     lines = [[run.value(metric=metric, point=index) for index in range(len(frames))] for run in runs]
-                    axis.plot(frames, np.mean(lines, axis=0), "o-", markersize=3, label=f"{policy} ({len(runs)})")
+                    axis.plot(
+                        frames,
+                        np.mean(lines, axis=0),
+                        "o-",
+                        markersize=3,
+                        color=POLICY_COLORS[policy],
+                        label=f"{policy} ({len(runs)})",
+                    )
             axis.set(title=network, xlabel="frames of the robot", ylabel=title if axis is axes[0] else "")
             axis.grid(alpha=0.3)
             axis.legend(fontsize=7)
