@@ -7,6 +7,7 @@ pub mod camera_latency;
 pub mod check;
 pub mod cli;
 pub mod config;
+pub mod control_panel;
 pub mod dataset;
 mod dump;
 #[cfg(feature = "simulator")]

@@ -31,4 +31,8 @@ pub use reader::RecordingReader;
 pub use sentences::{Severity, fault_reason, lost_reason, sentence};
 pub use tick::{RecordedTick, RgbImage};
 pub use views::{MapView, Views};
+/// Foxglove's messages of single parts, for the live view.
+pub mod messages {
+    pub use super::views::{calibration, grid, log, path, pose_in, scan, timestamp, transforms};
+}
 pub use writer::{CHUNK_BYTES, CHUNK_NS, END_WITHOUT_SUMMARY, RecordingWriter};

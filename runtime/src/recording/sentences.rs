@@ -67,6 +67,9 @@ pub fn sentence(event: &Event) -> (Severity, String) {
             (Warning, format!("wheels and scans disagree: {}", wheel_error(*how)))
         }
         Event::Explored => (Info, "all reachable floor seen".to_owned()),
+        Event::Operator { order } => {
+            (if order.refused.is_some() { Warning } else { Info }, order.sentence())
+        }
         Event::PolicySwitched { to } => {
             (Info, format!("policy now chooses goals by: {}", goal_reason(*to)))
         }
