@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
 use runtime::event::FaultReason;
+use runtime::recording::fault_reason;
 use runtime::safety::{Orders, Request, STOPS, SafetyState};
 
 /// Steps between clearing a fault and arming: the state machine leaves the fault in the first one.
@@ -38,6 +39,31 @@ pub enum Plane {
     BackingOff,
     Escaping,
     Fault(FaultReason),
+}
+
+impl Plane {
+    /// The state's name, as [`SafetyState::name`].
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Disarmed => "disarmed",
+            Self::Clear => "clear",
+            Self::Slow => "slow",
+            Self::Tripped => "tripped",
+            Self::BackingOff => "backing off",
+            Self::Escaping => "escaping",
+            Self::Fault(_) => "fault",
+        }
+    }
+
+    /// The name; for a fault, its reason as well.
+    #[must_use]
+    pub fn words(self) -> String {
+        match self {
+            Self::Fault(why) => format!("fault: {}", fault_reason(why)),
+            state => state.name().to_owned(),
+        }
+    }
 }
 
 /// Whether the robot may move.

@@ -18,6 +18,7 @@ pub mod failure;
 pub mod faults;
 pub mod health;
 pub mod keep_out;
+pub mod live;
 pub mod localize;
 pub mod map;
 pub mod model;
