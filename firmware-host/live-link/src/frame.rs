@@ -176,8 +176,9 @@ mod tests {
 
     fn any_frame() -> impl Strategy<Value = Frame> {
         prop_oneof![
-            (any::<u16>(), any::<u64>(), any::<Vec<u8>>())
-                .prop_map(|(channel, time_ns, payload)| Frame::Message { channel, time_ns, payload }),
+            (any::<u16>(), any::<u64>(), any::<Vec<u8>>()).prop_map(
+                |(channel, time_ns, payload)| Frame::Message { channel, time_ns, payload }
+            ),
             (any::<u64>(), any::<bool>(), any::<String>())
                 .prop_map(|(id, accepted, text)| Frame::Answer(Answer { id, accepted, text })),
             (any::<u16>(), any::<String>(), any::<String>()).prop_map(|(id, topic, schema)| {

@@ -191,7 +191,8 @@ mod tests {
     use std::net::{Ipv4Addr, Ipv6Addr};
 
     const LOCAL: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
-    const TOKENS: &str = "# tokens\n\nanna steer aaaaaaaaaaaaaaaa1\nscreen watch bbbbbbbbbbbbbbbb2\n";
+    const TOKENS: &str =
+        "# tokens\n\nanna steer aaaaaaaaaaaaaaaa1\nscreen watch bbbbbbbbbbbbbbbb2\n";
 
     fn of_host(host: &str) -> Introduction<'_> {
         Introduction { host: Some(host), ..Introduction::default() }

@@ -91,7 +91,9 @@ fn announce(address: SocketAddr, robot: &Path, access: &Access) {
     println!("Foxglove: ws://{address}/  (Open connection, Foxglove WebSocket)");
     println!("robot:    {}", robot.display());
     if access.needs_token() {
-        println!("Every client needs a token: http://{address}/#token=TOKEN, ws://{address}/?token=TOKEN");
+        println!(
+            "Every client needs a token: http://{address}/#token=TOKEN, ws://{address}/?token=TOKEN"
+        );
     }
 }
 

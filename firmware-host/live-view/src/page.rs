@@ -34,7 +34,10 @@ const HEADERS: [(HeaderName, HeaderValue); 5] = [
     ),
     (HeaderName::from_static("x-content-type-options"), HeaderValue::from_static("nosniff")),
     (HeaderName::from_static("referrer-policy"), HeaderValue::from_static("no-referrer")),
-    (HeaderName::from_static("cross-origin-resource-policy"), HeaderValue::from_static("same-origin")),
+    (
+        HeaderName::from_static("cross-origin-resource-policy"),
+        HeaderValue::from_static("same-origin"),
+    ),
     (CACHE_CONTROL, HeaderValue::from_static("no-cache")),
 ];
 
@@ -72,7 +75,8 @@ mod tests {
         assert!(bytes < 100 << 10, "{bytes} bytes");
         for (name, kind, content) in FILES {
             let addresses = content.matches("://").count();
-            let allowed = if kind == SVG { content.matches("http://www.w3.org/").count() } else { 0 };
+            let allowed =
+                if kind == SVG { content.matches("http://www.w3.org/").count() } else { 0 };
             // `ws://` and `wss://` are made from the page's own address.
             assert!(addresses <= allowed + content.matches("ws://").count(), "{name}");
         }
@@ -81,7 +85,8 @@ mod tests {
     #[test]
     fn every_file_that_the_page_names_exists() {
         let (_, _, index) = FILES[0];
-        let named = index.split(['"']).filter(|text| text.ends_with(".js") || text.ends_with(".css"));
+        let named =
+            index.split(['"']).filter(|text| text.ends_with(".js") || text.ends_with(".css"));
         for name in named {
             assert!(FILES.iter().any(|(file, ..)| *file == name), "{name}");
         }

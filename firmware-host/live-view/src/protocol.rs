@@ -237,7 +237,8 @@ pub fn robot_status(lost: Option<&str>) -> String {
     const ERROR: u8 = 2;
     match lost {
         Some(message) => {
-            json!({"op": "status", "level": ERROR, "message": message, "id": ROBOT_STATUS}).to_string()
+            json!({"op": "status", "level": ERROR, "message": message, "id": ROBOT_STATUS})
+                .to_string()
         }
         None => json!({"op": "removeStatus", "statusIds": [ROBOT_STATUS]}).to_string(),
     }

@@ -128,7 +128,9 @@ impl Robot {
         let line = Line::Order(OrderLine { id, who: who.to_owned(), role, order });
         if self.shared.lines.try_send(line).is_err() {
             lock(&self.shared.answers).remove(&id);
-            return Err("the order did not reach the robot: it takes nothing at the moment".to_owned());
+            return Err(
+                "the order did not reach the robot: it takes nothing at the moment".to_owned()
+            );
         }
         let answered = tokio::time::timeout(ANSWERS_WITHIN, answer).await;
         lock(&self.shared.answers).remove(&id);

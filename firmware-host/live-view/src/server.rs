@@ -57,8 +57,11 @@ pub async fn serve(listener: TcpListener, robot: Robot, access: Access) -> Resul
 /// Without tokens, a name that is not this computer's gets nothing at all.
 async fn guard(State(hall): State<Hall>, request: Request<Body>, next: Next) -> Response {
     let host = text(request.headers(), &HOST);
-    if !hall.access.needs_token() && hall.access.admit(Introduction { host, ..Introduction::default() }).is_err() {
-        return (StatusCode::FORBIDDEN, "the address must be 127.0.0.1 or localhost\n").into_response();
+    if !hall.access.needs_token()
+        && hall.access.admit(Introduction { host, ..Introduction::default() }).is_err()
+    {
+        return (StatusCode::FORBIDDEN, "the address must be 127.0.0.1 or localhost\n")
+            .into_response();
     }
     page::with_headers(next.run(request).await)
 }
@@ -92,17 +95,13 @@ async fn enter(
     if hall.robot.listeners() >= MOST_CLIENTS {
         return (StatusCode::SERVICE_UNAVAILABLE, "there are too many clients\n").into_response();
     }
-    let upgrade = upgrade
-        .protocols(SUBPROTOCOLS)
-        .max_message_size(MOST_BYTES)
-        .max_frame_size(MOST_BYTES);
+    let upgrade =
+        upgrade.protocols(SUBPROTOCOLS).max_message_size(MOST_BYTES).max_frame_size(MOST_BYTES);
     if upgrade.selected_protocol().is_none() {
         let why = format!("the subprotocol {} is spoken here\n", SUBPROTOCOLS[0]);
         return (StatusCode::BAD_REQUEST, why).into_response();
     }
-    upgrade.on_upgrade(move |socket| {
-        Session::run(socket, hall.robot, guest, address.to_string())
-    })
+    upgrade.on_upgrade(move |socket| Session::run(socket, hall.robot, guest, address.to_string()))
 }
 
 fn text<'a>(headers: &'a HeaderMap, name: &axum::http::HeaderName) -> Option<&'a str> {

@@ -98,7 +98,8 @@ impl Session {
                 self.robot.subscribe(&self.listener, |list| subscribe(list, &new));
             }
             Request::Unsubscribe(ids) => {
-                self.robot.subscribe(&self.listener, |list| list.retain(|(_, id)| !ids.contains(id)));
+                self.robot
+                    .subscribe(&self.listener, |list| list.retain(|(_, id)| !ids.contains(id)));
             }
             Request::Advertise(channels) => {
                 let free = MOST_SUBSCRIPTIONS.saturating_sub(self.published.len());

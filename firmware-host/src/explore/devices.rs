@@ -11,7 +11,8 @@ use super::paced_clock::PacedClock;
 use crate::config::Config;
 use crate::control_panel::{ControlPanel, PanelReader};
 
-type Time = FaultyClock<VirtualTime<PacedClock<SimClock>, FaultyBase<SimBase>, FaultyLidar<SimLidar>>>;
+type Time =
+    FaultyClock<VirtualTime<PacedClock<SimClock>, FaultyBase<SimBase>, FaultyLidar<SimLidar>>>;
 
 /// Clock and camera of a simulated robot. The safety loop, which owns wheels and scanner, steps while the clock sleeps.
 pub type SimulatedDevices = VirtualDevices<Time, FaultyCamera<SimCamera>>;
@@ -31,7 +32,11 @@ pub fn simulated_devices(
     let lidar = FaultyLidar::new(devices.lidar, faults);
     let safety = SafetyLoop::new(config.simulated_safety_config(), base, lidar);
     let (task, port) = safety_link(safety);
-    let mut time = VirtualTime::new(PacedClock::new(devices.clock, real_time), task, config.safety_period_ns());
+    let mut time = VirtualTime::new(
+        PacedClock::new(devices.clock, real_time),
+        task,
+        config.safety_period_ns(),
+    );
     time.request(Request::Arm);
     let mut reader = PanelReader::new(panel.clone());
     time.set_operator(move |state| {

@@ -82,7 +82,8 @@ impl Topic {
             Self::Calibration => fox::CameraCalibration::get_schema(),
             Self::Events => fox::Log::get_schema(),
         };
-        let (name, data) = schema.map_or_else(Default::default, |schema| (schema.name, schema.data));
+        let (name, data) =
+            schema.map_or_else(Default::default, |schema| (schema.name, schema.data));
         Channel {
             id: self.id(),
             topic: self.name().to_owned(),

@@ -126,10 +126,15 @@ impl Desk {
     }
 
     fn pass(&self, order: LoopOrder, says: &str) -> Result<String, String> {
-        self.to_loop.try_send(order).map(|()| says.to_owned()).map_err(|error| match error {
-            TrySendError::Full(_) => "the robot has not taken the orders before: it hangs or is busy",
-            TrySendError::Disconnected(_) => "the robot is ending its run",
-        }.to_owned())
+        self.to_loop.try_send(order).map(|()| says.to_owned()).map_err(|error| {
+            match error {
+                TrySendError::Full(_) => {
+                    "the robot has not taken the orders before: it hangs or is busy"
+                }
+                TrySendError::Disconnected(_) => "the robot is ending its run",
+            }
+            .to_owned()
+        })
     }
 
     fn note(&self, order: OperatorOrder) {
@@ -165,7 +170,12 @@ mod tests {
         let safety = PanelReader::new(panel.clone());
         let (loop_sender, to_loop) = sync_channel(2);
         let (note_sender, notes) = sync_channel(100);
-        Office { desk: Desk::new(panel, loop_sender, note_sender, keeps_map), safety, to_loop, notes }
+        Office {
+            desk: Desk::new(panel, loop_sender, note_sender, keeps_map),
+            safety,
+            to_loop,
+            notes,
+        }
     }
 
     fn line(role: Role, order: Order) -> OrderLine {
@@ -179,7 +189,10 @@ mod tests {
         assert!(answer.accepted && answer.id == 3);
         assert_eq!(office.to_loop.try_recv(), Ok(LoopOrder::Task(Task::Pause)));
         let note = office.notes.recv().unwrap();
-        assert_eq!((note.who.as_str(), note.what.as_str(), note.refused), ("tester", "pause", None));
+        assert_eq!(
+            (note.who.as_str(), note.what.as_str(), note.refused),
+            ("tester", "pause", None)
+        );
     }
 
     #[test]
@@ -217,7 +230,8 @@ mod tests {
     fn a_flood_of_orders_is_refused_but_its_stop_is_not() {
         let mut office = office(false);
         office.safety.publish(SafetyState::Disarmed);
-        let refused = (0..100).filter(|_| !office.desk.take(&line(Role::Steer, Order::Arm)).accepted);
+        let refused =
+            (0..100).filter(|_| !office.desk.take(&line(Role::Steer, Order::Arm)).accepted);
         assert!(refused.count() >= 70);
         office.safety.orders();
         assert!(office.desk.take(&line(Role::Steer, Order::Stop)).accepted);

@@ -219,7 +219,10 @@ mod tests {
         (Encoder { hub, config, mounts, time_ns: 0, buffer: Vec::new() }, outgoing)
     }
 
-    fn messages_of(encoder: Encoder, outgoing: &super::super::hub::Outgoing) -> Vec<(u16, Vec<u8>)> {
+    fn messages_of(
+        encoder: Encoder,
+        outgoing: &super::super::hub::Outgoing,
+    ) -> Vec<(u16, Vec<u8>)> {
         // Without the hub, the queue has an end.
         drop(encoder);
         let mut reader = FrameReader::default();
@@ -239,8 +242,12 @@ mod tests {
     #[test]
     fn a_tick_becomes_the_messages_that_foxglove_reads() {
         let (mut encoder, outgoing) = encoder(640);
-        let map =
-            MapView { origin_m: [-1.0, 2.0], cell_m: 0.05, columns: 3, occupancy: vec![0, -1, 100] };
+        let map = MapView {
+            origin_m: [-1.0, 2.0],
+            cell_m: 0.05,
+            columns: 3,
+            occupancy: vec![0, -1, 100],
+        };
         let moment = Moment {
             time_ns: 5_000_000_000,
             path_m: Some(vec![[0.0, 0.0], [1.0, 0.0]]),
@@ -251,8 +258,8 @@ mod tests {
         encoder.item(&Item::Tick(Box::new(moment)));
         let read = messages_of(encoder, &outgoing);
         let topics: Vec<u16> = read.iter().map(|(channel, _)| *channel).collect();
-        let expected =
-            [Topic::Now, Topic::Tf, Topic::Pose, Topic::Path, Topic::Map, Topic::Depth].map(Topic::id);
+        let expected = [Topic::Now, Topic::Tf, Topic::Pose, Topic::Path, Topic::Map, Topic::Depth]
+            .map(Topic::id);
         assert_eq!(topics, expected);
         let now: serde_json::Value = serde_json::from_slice(&read[0].1).unwrap();
         assert_eq!(now["tick"], 0);

@@ -11,8 +11,8 @@ use proptest::prelude::*;
 use super::*;
 use crate::event::{BackOffEnd, Event, GoalReason, SafetyEvent};
 use crate::localization::LostReason;
-use crate::safety::SentCommand;
 use crate::operator::{OperatorOrder, Role};
+use crate::safety::SentCommand;
 use crate::task::Task;
 use crate::tick::{Command, Decision, SafetyReport};
 

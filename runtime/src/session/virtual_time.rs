@@ -31,10 +31,7 @@ impl<K: Clock, B: Base, L: Lidar> VirtualTime<K, B, L> {
     }
 
     /// Asks `operator` for orders before every step, so that they reach the safety plane without waiting for a tick.
-    pub fn set_operator(
-        &mut self,
-        operator: impl FnMut(SafetyState) -> Orders + Send + 'static,
-    ) {
+    pub fn set_operator(&mut self, operator: impl FnMut(SafetyState) -> Orders + Send + 'static) {
         self.operator = Some(Box::new(operator));
     }
 
