@@ -60,7 +60,7 @@ impl Session {
         let mut session =
             Self { robot, guest, who, listener, answers, published: Vec::new(), allowance };
         while let Some(Ok(message)) = stream.next().await {
-            if writer.is_finished() {
+            if writer.is_finished() || matches!(message, Message::Close(_)) {
                 break;
             }
             if let Err(error) = session.take(message).await {
@@ -83,8 +83,7 @@ impl Session {
         let request = match &message {
             Message::Text(text) => protocol::read_text(text),
             Message::Binary(bytes) => protocol::read_binary(bytes),
-            Message::Close(_) => bail!("it closed the connection"),
-            Message::Ping(_) | Message::Pong(_) => Ok(Request::Other),
+            Message::Close(_) | Message::Ping(_) | Message::Pong(_) => Ok(Request::Other),
         };
         match request {
             Ok(request) => self.request(request).await,

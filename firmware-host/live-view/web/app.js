@@ -13,7 +13,7 @@ const RESTART_MS = 4000;
 const MOST_EVENTS = 60;
 
 const $ = (id) => document.getElementById(id);
-const state = { open: false, robot: null, heard: performance.now(), role: "watch", urls: {}, shown: {} };
+const state = { open: false, wasOpen: false, robot: null, heard: performance.now(), role: "watch", urls: {}, shown: {} };
 
 const map = new MapView($("map"), (place) => ask(place));
 $("map").addEventListener("follows", () => $("follow").setAttribute("aria-pressed", String(map.follows)));
@@ -81,8 +81,8 @@ function look() {
   document.body.classList.toggle("stale", stale);
   const chip = $("link");
   chip.className = stale ? "chip bad" : "chip live";
-  setText("link", stale ? "lost" : "live");
-  $("lost").hidden = !stale;
+  setText("link", !stale ? "live" : state.wasOpen ? "lost" : "connecting");
+  $("lost").hidden = !stale || (!state.wasOpen && age < STALE_MS);
   if (stale) setText("lost", lostText(age));
   setText("camera-age", ageText("camera"));
   setText("depth-age", ageText("depth"));
@@ -94,6 +94,7 @@ function look() {
 
 function lostText(age) {
   const since = `for ${(age / 1000).toFixed(0)} s`;
+  if (!state.wasOpen) return "No link to live-view. If it needs a token, add #token=TOKEN to the address.";
   if (!state.open) return `The link to live-view is lost ${since}. The robot goes on by itself; STOP does not reach it from here.`;
   if (state.robot) return `No robot: ${state.robot}. STOP does not reach it from here.`;
   return `The robot has sent nothing ${since}. What is shown is old.`;
@@ -165,7 +166,7 @@ function address() {
 
 const link = new Link(address(), readers, {
   open(role) {
-    state.open = true;
+    state.open = state.wasOpen = true;
     state.role = role;
     for (const part of document.querySelectorAll(".steer")) part.hidden = role !== "steer";
     $("watching").hidden = role === "steer";

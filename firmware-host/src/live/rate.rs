@@ -28,7 +28,7 @@ impl Pulse {
     }
 }
 
-/// Allows a burst, and then so many a second.
+/// Allows a burst, and then a rate.
 #[derive(Debug)]
 pub struct Bucket {
     per_s: f64,

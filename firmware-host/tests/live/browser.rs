@@ -120,7 +120,7 @@ async fn a_robot_that_is_gone_is_shown_as_lost_and_as_live_when_it_is_back() {
 async fn screenshots_for_the_documentation() {
     let images = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/images");
     let program = program().unwrap();
-    let run = Explore::with("", &["--seed", "1"]);
+    let run = Explore::with("[camera]\nwidth = 480\nheight = 144\n", &["--seed", "1"]);
     let page = serve(&run).await;
     let mut laptop = Browser::start(program).await;
     let mut phone = Browser::start(program).await;
