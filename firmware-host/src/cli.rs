@@ -161,6 +161,13 @@ pub struct ExploreArgs {
     /// animated PNG of at most 3 MB).
     #[arg(long)]
     pub animation: bool,
+    /// Unix socket at which the run serves the program `live-view` [default: live.socket of the
+    /// configuration].
+    #[arg(long, value_name = "SOCKET")]
+    pub live: Option<PathBuf>,
+    /// Run no faster than the robot would, so that a person can watch it.
+    #[arg(long)]
+    pub real_time: bool,
     #[command(flatten)]
     pub faults: FaultArgs,
     #[command(flatten)]
@@ -266,6 +273,10 @@ pub struct RunArgs {
     /// Do not record the run. It cannot be replayed then.
     #[arg(long)]
     pub no_recording: bool,
+    /// Unix socket at which the robot serves the program `live-view` [default: live.socket of the
+    /// configuration].
+    #[arg(long, value_name = "SOCKET")]
+    pub live: Option<PathBuf>,
     #[command(flatten)]
     pub faults: FaultArgs,
 }

@@ -5,8 +5,10 @@ mod hand_over;
 mod map_accuracy;
 mod map_plot;
 mod narration;
+mod paced_clock;
 mod session;
 mod shots;
+mod watched;
 
 use anyhow::{Context, Result, bail};
 use drivers::fault::Faults;
@@ -19,9 +21,11 @@ use simulator::SimulatedRobot;
 
 use crate::cli::ExploreArgs;
 use crate::config::Config;
+use crate::control_panel::ControlPanel;
 use crate::dump::Dump;
 use crate::faults::FaultPlan;
 use crate::keep_out;
+use crate::live::{self, Live};
 use crate::map::KeptMap;
 use crate::model::{Keeper, LiveModels};
 use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions, refuse_old_recording};
@@ -31,6 +35,7 @@ use crate::setup::{self, Mission};
 use crate::simulation;
 use hand_over::HandOver;
 use session::Exploration;
+use watched::Watched;
 
 /// Explores, then reports.
 ///
@@ -93,7 +98,14 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let dump =
         args.dump.as_deref().map(|dir| Dump::create(dir, &config.camera.model())).transpose()?;
     let hand_over = HandOver::new(&args.hand_over, &config)?;
-    let mut exploration = Exploration::new(args, &config, &simulated, &faults, robot, recorder);
+    let panel = ControlPanel::default();
+    let watched = live::socket_of(args.live.as_deref(), &config)
+        .map(|socket| Live::start(&socket, &config, panel.clone(), map.is_some()))
+        .transpose()?
+        .map(|live| Watched::new(live, panel.clone(), Some(args.out.display().to_string())));
+    let mut exploration =
+        Exploration::new(args, &config, &simulated, &faults, robot, recorder, &panel);
+    exploration.log.watched = watched;
     exploration.log.dump = dump;
     exploration.log.map = map;
     exploration.hand_over = hand_over;

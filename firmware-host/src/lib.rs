@@ -11,6 +11,7 @@ pub mod camera_latency;
 pub mod check;
 pub mod cli;
 pub mod config;
+pub mod control_panel;
 pub mod dataset;
 mod dump;
 #[cfg(feature = "simulator")]
@@ -21,6 +22,7 @@ pub mod failure;
 pub mod faults;
 pub mod health;
 pub mod keep_out;
+pub mod live;
 pub mod localize;
 pub mod logging;
 pub mod manual;

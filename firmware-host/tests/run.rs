@@ -6,6 +6,8 @@
     reason = "a test that cannot set up its scene has failed"
 )]
 
+use std::io::{Read, Write};
+use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -20,6 +22,7 @@ use firmware_host::model::{State, Store, What};
 use firmware_host::run::status::Status;
 use hal::{CameraModel, Clock};
 use hil::world::{LiveOptions, LiveWorld};
+use live_link::{Frame, FrameReader};
 use monotonic_clock::MonotonicClock;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -319,6 +322,41 @@ fn a_motor_that_broke_down_needs_a_person_and_sigusr1_is_that_person() {
     scene.signal(Signal::USR2);
     scene.state_is("fault: the emergency stop is pressed");
     assert!(scene.way_m() < 0.05, "it brakes within centimetres");
+    scene.ends_well();
+}
+
+#[test]
+fn an_order_over_the_live_view_stops_the_robot_until_another_one_arms_it() {
+    let mut scene = Scene::with(Protocol::Odrive, "\n[live]\nsocket = \"{}/live.sock\"\n", &[]);
+    scene.drives_first();
+    let order = |scene: &Scene, order: &str| {
+        let mut socket = UnixStream::connect(scene.path("live.sock")).unwrap();
+        let line = format!(
+            "{{\"order\":{{\"id\":1,\"who\":\"the test\",\"role\":\"steer\",\"order\":{{\"order\":\"{order}\"}}}}}}\n"
+        );
+        socket.write_all(line.as_bytes()).unwrap();
+        let mut reader = FrameReader::default();
+        loop {
+            let mut piece = [0; 4096];
+            let count = socket.read(&mut piece).unwrap();
+            reader.push(&piece[..count]);
+            while let Some(frame) = reader.next_frame().unwrap() {
+                if let Frame::Answer(answer) = frame {
+                    assert!(answer.accepted, "{answer:?}");
+                    return;
+                }
+            }
+        }
+    };
+    order(&scene, "stop");
+    scene.state_is("fault: the emergency stop is pressed");
+    assert!(scene.way_m() < 0.05, "it brakes within centimetres");
+    let (_, before_m) = scene.world.home().score();
+    scene.wait("driving after the order to arm", |scene| {
+        order(scene, "arm");
+        pause(2000);
+        scene.world.home().score().1 > before_m + 0.1
+    });
     scene.ends_well();
 }
 

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::localization::{LostReason, WheelError};
+use crate::operator::OperatorOrder;
 use crate::perception::NoDepth;
 
 /// An entry of the log: what the robot decided, and why.
@@ -85,6 +86,11 @@ pub enum Event {
     PolicySwitched {
         /// The new way.
         to: GoalReason,
+    },
+    /// An order of the operator came, and was accepted or refused.
+    Operator {
+        /// What was ordered, by which client.
+        order: OperatorOrder,
     },
 }
 

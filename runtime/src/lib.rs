@@ -11,6 +11,7 @@ pub mod lidar_agreement;
 pub mod localization;
 pub mod mapping;
 pub mod model_gate;
+pub mod operator;
 pub mod outside_pose;
 pub mod perception;
 pub mod planning;

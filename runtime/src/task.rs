@@ -17,6 +17,8 @@ pub enum Task {
     Return,
     /// Explore, as a robot without a task does.
     Explore,
+    /// Stand where the robot is until there is another task.
+    Pause,
 }
 
 /// A task has a coordinate that is NaN or infinite.

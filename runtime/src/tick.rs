@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, SafetyEvent};
 use crate::localization::LostReason;
+use crate::operator::OperatorOrder;
 use crate::outside_pose::OutsideInput;
 use crate::safety::SentCommand;
 use crate::task::Task;
@@ -31,6 +32,9 @@ pub struct TickInput<'a> {
     pub truth: Option<&'a DepthMap>,
     /// What the operator has asked for since the previous tick.
     pub task: Option<Task>,
+    /// The orders that came since the previous tick, accepted and refused. They are noted only: what they do reaches the robot as
+    /// `task` and through the safety plane.
+    pub orders: &'a [OperatorOrder],
     /// What the safety loop did since the previous tick.
     pub safety: &'a SafetyReport,
 }

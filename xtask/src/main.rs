@@ -13,6 +13,7 @@ mod docs;
 mod explore;
 mod fuzz;
 mod licences;
+mod live;
 mod localization;
 mod models;
 mod mutants;
@@ -41,6 +42,12 @@ use clap::Parser;
 enum Chore {
     /// Explore a simulated home and write depth and map as images, a summary and a recording.
     Demo,
+    /// Let a simulated robot explore in real time, and serve its live view to browsers and Foxglove until Ctrl-C.
+    Live {
+        /// Make the images of docs/live-view.md instead. Needs Chromium.
+        #[arg(long)]
+        screenshots: bool,
+    },
     /// Run the whole data loop on this computer: a simulated robot records, pull-buffer copies over ssh, the trainer trains,
     /// push-model sends the network back, and the robot's gate judges it. Takes about 15 minutes; the first time it installs
     /// PyTorch (5 GB).
@@ -171,6 +178,8 @@ fn main() -> ExitCode {
 fn run(chore: &Chore) -> anyhow::Result<()> {
     match chore {
         Chore::Demo => demo::run(),
+        Chore::Live { screenshots: false } => live::run(),
+        Chore::Live { screenshots: true } => live::screenshots(),
         Chore::Loop => data_loop::run(),
         Chore::Test { all } => test::run(*all),
         Chore::Bench { json, update, filter } => bench::run(*json, *update, filter.as_deref()),

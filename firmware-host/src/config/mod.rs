@@ -7,6 +7,7 @@
 mod check;
 mod devices;
 mod error;
+mod live;
 mod odometry;
 #[cfg(test)]
 mod reference;
@@ -25,6 +26,7 @@ use runtime::{
 
 pub use devices::{DevicesSection, LensSection, RunSection};
 pub use error::{ConfigError, Problem};
+pub use live::LiveSection;
 pub use odometry::Odometry;
 pub use sections::{
     BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, RecordingSection,
@@ -54,6 +56,7 @@ hal::settings! {
         recording: RecordingSection;
         simulator: SimulatorSection;
         run: RunSection;
+        live: LiveSection;
         devices: DevicesSection;
     }
 }

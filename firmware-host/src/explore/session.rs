@@ -23,9 +23,11 @@ use super::hand_over::{HandOver, Round};
 use super::map_plot::reachable_cells;
 use super::narration::Narrator;
 use super::shots::Shots;
+use super::watched::{Watched, attend};
 use super::{map_accuracy, map_plot};
 use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
+use crate::control_panel::ControlPanel;
 use crate::dump::{Dump, Shot};
 use crate::evaluation::{Evaluation, NEAR_EDGE_M, Truth};
 use crate::map::KeptMap;
@@ -59,21 +61,23 @@ pub(super) struct Exploration {
 /// The outputs of a simulated run: recording, evaluation against ground truth, latencies and plots.
 pub(super) struct RunLog {
     recording: RecordingSection,
-    recorder: Option<Recorder>,
+    pub recorder: Option<Recorder>,
     /// The dump of coarse depth for training, if there is one.
     pub dump: Option<Dump>,
     /// The map that the run began with and leaves behind.
     pub map: Option<KeptMap>,
     /// Signed models that arrive during the run.
     pub models: Option<LiveModels>,
+    /// The live view, if there is one.
+    pub watched: Option<Watched>,
     /// Agreement of the depth with the LiDAR.
-    line: LidarAgreement,
+    pub line: LidarAgreement,
     world: World,
     /// Ground-truth depth of the newest frame.
     true_depth: DepthMap,
-    evaluation: Evaluation,
+    pub evaluation: Evaluation,
     digest: RunDigest,
-    stopwatch: Stopwatch,
+    pub stopwatch: Stopwatch,
     sheet: SheetSampler,
     began: Instant,
     started: Instant,
@@ -106,6 +110,7 @@ impl Exploration {
         faults: &Faults,
         robot: Robot,
         recorder: Option<Recorder>,
+        panel: &ControlPanel,
     ) -> Self {
         let world = simulated.devices().truth;
         let plan = world.floor_plan();
@@ -114,13 +119,15 @@ impl Exploration {
         let coverage = Coverage::new(reachable, grid.width, grid.origin_m, grid.resolution_m);
         let camera = config.camera.model();
         let maps_truth = robot.maps_truth();
-        let (devices, port) = simulated_devices(config, simulated, faults, maps_truth);
+        let (devices, port) =
+            simulated_devices(config, simulated, faults, maps_truth, args.real_time, panel);
         let log = RunLog {
             recording: config.recording.clone(),
             recorder,
             dump: None,
             map: None,
             models: None,
+            watched: None,
             line: crate::setup::lidar_agreement(config),
             world,
             true_depth: DepthMap::none(camera.width, camera.height),
@@ -165,6 +172,7 @@ impl Exploration {
                 end = ExploreEnd::Interrupted;
                 break;
             }
+            attend(&mut self.log, &mut self.session);
             self.log.stopwatch.start();
             self.session.wait();
             match self.session.tick(&mut self.log) {
@@ -208,8 +216,8 @@ impl Exploration {
     }
 
     /// Saves the map, if the run keeps one.
-    pub fn save_map(&self) -> Result<()> {
-        self.log.map.as_ref().map_or(Ok(()), |map| map.save(self.session.robot()))
+    pub fn save_map(&mut self) -> Result<()> {
+        self.log.map.as_mut().map_or(Ok(()), |map| map.save(self.session.robot()))
     }
 
     /// At the ticks of the schedule, hands over the recording and takes the next network. `false` if the run was
@@ -340,6 +348,10 @@ impl Observer for RunLog {
         decision: &Decision,
     ) -> Result<(), Failure> {
         self.stopwatch.since(self.started, Stage::Total);
+        if let Some(watched) = &mut self.watched {
+            watched.live.offer(robot, input, decision, self.started.elapsed());
+            self.stopwatch.lap(Stage::Live);
+        }
         self.digest.add_input(input);
         self.digest.add_decision(decision);
         self.world.depth(&mut self.true_depth);

@@ -1,6 +1,7 @@
 //! `--map FILE`: the map that a run begins with and leaves behind.
 
 use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, bail};
 use hal::ScanGeometry;
@@ -19,6 +20,8 @@ pub struct KeptMap {
     loaded: Option<String>,
     /// The scanner that the loaded map was made with.
     scanner: Option<ScanGeometry>,
+    /// Writes the map during the run.
+    writing: Option<JoinHandle<()>>,
 }
 
 impl KeptMap {
@@ -28,7 +31,13 @@ impl KeptMap {
     /// A file that is damaged, of another version or of another robot, and a folder that is missing. The file stays as it is.
     pub fn open(path: &Path, robot: &mut Robot, config: &Config) -> Result<Self> {
         let scanner_height_m = config.lidar.height_m;
-        let kept = Self { path: path.to_owned(), scanner_height_m, loaded: None, scanner: None };
+        let kept = Self {
+            path: path.to_owned(),
+            scanner_height_m,
+            loaded: None,
+            scanner: None,
+            writing: None,
+        };
         if !path.exists() {
             // Found out now and not at the end of the run.
             let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
@@ -82,7 +91,9 @@ impl KeptMap {
     ///
     /// # Errors
     /// When it cannot be written. The old file then stays.
-    pub fn save(&self, robot: &Robot) -> Result<()> {
+    pub fn save(&mut self, robot: &Robot) -> Result<()> {
+        // Otherwise an earlier map might replace this one.
+        self.finish_writing();
         if let Some(why) = robot.whereabouts().lost() {
             tracing::warn!("{} stays as it was: {}", self.path.display(), lost_reason(why));
             return Ok(());
@@ -90,5 +101,36 @@ impl KeptMap {
         let about = About::now(self.scanner_height_m);
         MapFile { about, state: robot.map_state() }.write(&self.path)?;
         Ok(())
+    }
+
+    /// As [`save`](Self::save), in the middle of a run: another thread compresses and writes the map, so that the loop need not wait
+    /// for the disk. It logs what it cannot write.
+    ///
+    /// # Errors
+    /// When the system cannot create a thread.
+    pub fn save_aside(&mut self, robot: &Robot) -> Result<()> {
+        if self.writing.as_ref().is_some_and(|writing| !writing.is_finished()) {
+            bail!("the map is being written already");
+        }
+        if let Some(why) = robot.whereabouts().lost() {
+            bail!("{} stays as it was: {}", self.path.display(), lost_reason(why));
+        }
+        let about = About::now(self.scanner_height_m);
+        let file = MapFile { about, state: robot.map_state() };
+        let path = self.path.clone();
+        let write = move || {
+            if let Err(error) = file.write(&path) {
+                tracing::error!("the map is not saved: {error}");
+            }
+        };
+        self.finish_writing();
+        self.writing = Some(std::thread::Builder::new().name("map".to_owned()).spawn(write)?);
+        Ok(())
+    }
+
+    fn finish_writing(&mut self) {
+        if let Some(writing) = self.writing.take() {
+            let _ = writing.join();
+        }
     }
 }

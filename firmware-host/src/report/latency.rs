@@ -23,12 +23,14 @@ pub enum Stage {
     Simulator,
     /// Handing the data of one tick to the recorder.
     Record,
+    /// Copying the data of one tick for the live view.
+    Live,
     /// Lateness of the ticks of the safety loop, on a real robot.
     SafetyLate,
 }
 
 impl Stage {
-    const ALL: [Self; 8] = [
+    const ALL: [Self; 9] = [
         Self::Total,
         Self::Coarse,
         Self::Network,
@@ -36,6 +38,7 @@ impl Stage {
         Self::Plan,
         Self::Simulator,
         Self::Record,
+        Self::Live,
         Self::SafetyLate,
     ];
 
@@ -50,6 +53,7 @@ impl Stage {
             Self::Plan => "plan",
             Self::Simulator => "simulator",
             Self::Record => "record",
+            Self::Live => "live",
             Self::SafetyLate => "safety_late",
         }
     }

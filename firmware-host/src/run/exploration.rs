@@ -18,6 +18,7 @@ use runtime::tick::{Decision, TickInput};
 use super::live_devices::LiveDevices;
 use super::status::ExplorationStatus;
 use crate::config::Config;
+use crate::live::Live;
 use crate::map::KeptMap;
 use crate::model::LiveModels;
 use crate::record::{Recorder, recorded_views, snapshot};
@@ -58,6 +59,14 @@ impl Exploration {
     ) -> Self {
         let session = Session::new(devices, robot, port, config.base.tick_ns());
         Self { session, log: RunLog::new(config, recorder, models) }
+    }
+
+    /// Takes the orders that came over the live view.
+    pub fn take_orders(&mut self) {
+        let RunLog { live, map, .. } = &mut self.log;
+        if let Some(live) = live {
+            live.serve(&mut self.session, map.as_mut());
+        }
     }
 
     /// Runs one tick.
@@ -116,6 +125,8 @@ pub struct RunLog {
     pub recorder: Option<Recorder>,
     /// The map that the run began with and leaves behind.
     pub map: Option<KeptMap>,
+    /// The live view, if there is one.
+    pub live: Option<Live>,
     /// Signed models that arrive while the robot drives.
     models: Option<LiveModels>,
     /// Agreement of the depth with the LiDAR.
@@ -156,6 +167,7 @@ impl RunLog {
         Self {
             recorder,
             map: None,
+            live: None,
             models,
             line: setup::lidar_agreement(config),
             stopwatch: Stopwatch::default(),
@@ -280,6 +292,11 @@ impl Observer for RunLog {
         }
         self.note(decision, &input.wheel);
         self.sample(robot, input);
+        if let Some(live) = &mut self.live {
+            self.stopwatch.start();
+            live.offer(robot, input, decision, self.started.elapsed());
+            self.stopwatch.lap(Stage::Live);
+        }
         self.record(robot, input, decision)?;
         self.frames += u64::from(input.frame.is_some());
         Ok(())

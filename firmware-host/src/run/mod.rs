@@ -38,6 +38,7 @@ use crate::config::Config;
 use crate::model::{Keeper, LiveModels};
 
 use crate::keep_out;
+use crate::live::{self, Live};
 use crate::map::KeptMap;
 use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
 use crate::report::atomic::prepare_dir;
@@ -114,7 +115,11 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let models =
         start.map(|(keeper, start)| LiveModels::threaded(keeper, start, &config)).transpose()?;
     let mut exploration = Exploration::new(&config, devices, robot, port, recorder, models);
+    let view = live::socket_of(args.live.as_deref(), &config)
+        .map(|socket| Live::start(&socket, &config, safety.panel.clone(), map.is_some()))
+        .transpose()?;
     exploration.log.map = map;
+    exploration.log.live = view;
     let stop_file = StopFile::open(config.run.stop_file.as_ref());
     let operator = Operator::start(safety.panel.clone(), stop_file)?;
     let mut supervision = Supervision::new(args, out, &config, lidar, &operator);
@@ -143,7 +148,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     };
     let (robot, mut log) = exploration.finish();
     // The report comes also if the map cannot be saved.
-    let saved = log.map.take().map_or(Ok(()), |map| map.save(&robot));
+    let saved = log.map.take().map_or(Ok(()), |mut map| map.save(&robot));
     report(out, &mission, summary, &robot, log, late)?;
     saved
 }
@@ -180,6 +185,7 @@ fn explore(
         if !safety.is_alive() {
             return Ok(ExploreEnd::DeviceFailed);
         }
+        exploration.take_orders();
         exploration.tick()?;
         supervision.update(safety, exploration);
     }

@@ -13,7 +13,7 @@ use runtime::recording::fault_reason;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGUSR1, SIGUSR2};
 
 use super::last_stop::{LastStop, StopFile};
-use super::safety_thread::{ControlPanel, Motion};
+use crate::control_panel::{ControlPanel, Motion};
 use crate::failure::sentence;
 
 /// Period of the thread: the longest delay of a signal, and of writing a stop to the file.

@@ -2,7 +2,7 @@
 //! queues of fixed size ([`safety_link`]), without lock, allocation or log call.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 
 use anyhow::{Context, Result};
@@ -11,13 +11,15 @@ use hal::{Base, Clock, ErrorKind, Lidar, PowerReport};
 use monotonic_clock::MonotonicClock;
 use runtime::event::{FaultReason, SafetyEvent};
 use runtime::latency::LatencyHistogram;
-use runtime::safety::{Orders, Request, STOPS, SafetyLoop, SafetyState};
+use runtime::safety::{Orders, SafetyLoop, SafetyState};
 use runtime::session::{SafetyPort, SafetyTask, safety_link};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id,
 };
 use triple_buffer::{Input, Output, triple_buffer};
+
+use crate::control_panel::{ControlPanel, PanelReader};
 
 /// A device whose state can be read without a lock and without an allocation.
 pub trait Watched {
@@ -33,77 +35,8 @@ pub trait WatchedBase: Watched {
 
 /// The computer counts as suspended when it slept for longer than this.
 const SUSPENDED_NS: u64 = 500_000_000;
-/// Steps between clearing a fault and arming: the state machine leaves the fault in the first one.
-const STEPS_BEFORE_ARMING: u32 = 3;
 /// The base brakes for 0.5 s before it removes power from the motors.
 const DISARMING_NS: u64 = 1_000_000_000;
-
-/// The operator's orders to the safety loop, and whether the robot may move. All threads may use it.
-#[derive(Debug, Clone, Default)]
-pub struct ControlPanel {
-    shared: Arc<PanelState>,
-}
-
-#[derive(Debug, Default)]
-struct PanelState {
-    arms: AtomicBool,
-    disarms: AtomicBool,
-    stops: AtomicBool,
-    /// [`Motion`] as a number.
-    motion: AtomicU8,
-}
-
-/// Whether the robot may move.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Motion {
-    /// The robot has not been armed yet, or it was disarmed.
-    Disarmed,
-    /// The robot drives, or stands for a reason that passes.
-    Armed,
-    /// The robot stands until a person has inspected it.
-    NeedsPerson(FaultReason),
-}
-
-impl ControlPanel {
-    /// Clears a fault and arms the robot, after a person has inspected it.
-    pub fn arm(&self) {
-        self.shared.arms.store(true, Ordering::Release);
-    }
-
-    /// Stops the robot and releases the motors.
-    pub fn disarm(&self) {
-        self.shared.disarms.store(true, Ordering::Release);
-    }
-
-    /// Triggers an emergency stop.
-    pub fn stop(&self) {
-        self.shared.stops.store(true, Ordering::Release);
-    }
-
-    /// Whether the robot may move, according to the last step.
-    #[must_use]
-    pub fn motion(&self) -> Motion {
-        match self.shared.motion.load(Ordering::Acquire) {
-            0 => Motion::Disarmed,
-            1 => Motion::Armed,
-            number => STOPS
-                .get(usize::from(number) - 2)
-                .map_or(Motion::Disarmed, |stop| Motion::NeedsPerson(stop.why)),
-        }
-    }
-
-    fn publish(&self, state: SafetyState) {
-        let number = match state {
-            SafetyState::Disarmed => 0,
-            SafetyState::Fault(why) if why.needs_person() => {
-                let row = STOPS.iter().position(|stop| stop.why == why).unwrap_or(0);
-                2 + row as u8
-            }
-            _ => 1,
-        };
-        self.shared.motion.store(number, Ordering::Release);
-    }
-}
 
 /// The safety loop's current status, for `health`.
 #[derive(Debug, Clone, Copy)]
@@ -223,8 +156,7 @@ where
     let looping = Looping {
         task,
         status: status_input,
-        panel: panel.clone(),
-        arms_in: None,
+        panel: PanelReader::new(panel.clone()),
         suspended_ns: suspended_ns(),
         stop: Arc::clone(&stop),
         steps: Arc::clone(&steps),
@@ -243,9 +175,7 @@ impl Drop for SafetyThread {
 struct Looping<B, L> {
     task: SafetyTask<B, L>,
     status: Input<LoopStatus>,
-    panel: ControlPanel,
-    /// Steps until a request to arm is passed on.
-    arms_in: Option<u32>,
+    panel: PanelReader,
     /// Time that the computer has been suspended since it was started.
     suspended_ns: u64,
     stop: Arc<AtomicBool>,
@@ -274,7 +204,7 @@ where
                 if released || now_ns >= ends_ns {
                     break;
                 }
-                self.panel.disarm();
+                self.panel.panel().disarm();
             }
             self.step(now_ns, &mut status);
             self.steps.fetch_add(1, Ordering::Release);
@@ -291,26 +221,10 @@ where
         late
     }
 
-    /// The operator's orders for this step. What stops the robot takes precedence over a request to
-    /// arm, whichever came first.
     fn orders(&mut self) -> Orders {
-        let shared = &self.panel.shared;
-        let arms = shared.arms.swap(false, Ordering::AcqRel);
-        let disarms = shared.disarms.swap(false, Ordering::AcqRel);
-        let emergency_stop = shared.stops.swap(false, Ordering::AcqRel);
-        let request = if disarms || emergency_stop {
-            self.arms_in = None;
-            disarms.then_some(Request::Disarm)
-        } else if arms {
-            self.arms_in = Some(STEPS_BEFORE_ARMING);
-            Some(Request::ClearFault)
-        } else {
-            self.arms_in = self.arms_in.and_then(|steps| steps.checked_sub(1));
-            (self.arms_in == Some(0)).then_some(Request::Arm)
-        };
         let before_ns = std::mem::replace(&mut self.suspended_ns, suspended_ns());
         let suspended = self.suspended_ns.saturating_sub(before_ns) > SUSPENDED_NS;
-        Orders { request, emergency_stop, suspended, ..Orders::default() }
+        Orders { suspended, ..self.panel.orders() }
     }
 
     fn step(&mut self, now_ns: u64, status: &mut LoopStatus) {

@@ -104,7 +104,7 @@ impl Supervision {
 
     /// Feeds systemd's watchdog and writes the status when they are due. The caller calls this
     /// after every tick.
-    pub fn update(&mut self, safety: &mut SafetyThread, exploration: &Exploration) {
+    pub fn update(&mut self, safety: &mut SafetyThread, exploration: &mut Exploration) {
         let safety_status = *safety.status.read();
         if let SafetyState::Fault(_) | SafetyState::Tripped { .. } = safety_status.state {
             self.last_stop = Some(LastStop { why: words(&safety_status.state), unix_s: unix_s() });
@@ -130,6 +130,9 @@ impl Supervision {
         let devices = [&status.camera, &status.lidar, &status.base];
         for change in self.devices.changes(devices, status.uptime_s) {
             tracing::warn!("{change}");
+        }
+        if let Some(live) = &mut exploration.log.live {
+            live.show_health(&status);
         }
         if let Err(error) = status.write(&self.file)
             && !std::mem::replace(&mut self.unwritable, true)

@@ -128,6 +128,12 @@ impl Explorer {
         self.ending.has_ended() && (returned || !self.config.return_to_start)
     }
 
+    /// Whether the robot stands because of a task: it is where it was sent to, has given up getting there, or was paused.
+    #[must_use]
+    pub fn stands(&self) -> bool {
+        self.errand.as_ref().is_some_and(Errand::is_standing)
+    }
+
     /// Takes a task of the operator, in place of the one before.
     pub fn begin(&mut self, task: Task, events: &mut Vec<Event>) {
         if self.goal().is_some() {
@@ -139,6 +145,7 @@ impl Explorer {
             Task::Explore => None,
             Task::GoTo { x_m, y_m } => Some(Errand::to_place([x_m, y_m])),
             // Before its first decision the robot is at its start.
+            Task::Pause => Some(Errand::HERE),
             Task::Return => Some(self.start.as_ref().map_or(Errand::HERE, Errand::back_to)),
         };
     }

@@ -32,4 +32,8 @@ pub use reader::RecordingReader;
 pub use sentences::{Severity, drop_reason, fault_reason, goal_reason, lost_reason, sentence};
 pub use tick::{RecordedTick, RgbImage};
 pub use views::{MapView, Views};
+/// Foxglove's messages of single parts, for the live view.
+pub mod messages {
+    pub use super::views::{calibration, grid, log, path, pose_in, scan, timestamp, transforms};
+}
 pub use writer::{CHUNK_BYTES, CHUNK_NS, END_WITHOUT_SUMMARY, RecordingWriter};

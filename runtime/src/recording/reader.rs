@@ -183,6 +183,7 @@ impl Parts {
             frame: self.frame,
             truth: self.truth,
             task: self.json.task,
+            orders: self.json.orders,
             decision: self.decision,
             snapshot: self.snapshot,
             safety: self.json.safety,

@@ -73,6 +73,9 @@ pub fn sentence(event: &Event) -> (Severity, String) {
             "no pose from outside for a second: the wheels give the pose until one comes".to_owned(),
         ),
         Event::Explored => (Info, "all reachable floor seen".to_owned()),
+        Event::Operator { order } => {
+            (if order.refused.is_some() { Warning } else { Info }, order.sentence())
+        }
         Event::PolicySwitched { to } => {
             (Info, format!("policy now chooses goals by: {}", goal_reason(*to)))
         }

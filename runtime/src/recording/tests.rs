@@ -11,6 +11,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::event::{BackOffEnd, Event, GoalReason, SafetyEvent};
 use crate::localization::LostReason;
+use crate::operator::{OperatorOrder, Role};
 use crate::outside_pose::{OutsideInput, OutsidePose};
 use crate::safety::SentCommand;
 use crate::task::Task;
@@ -82,6 +83,12 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
             wheel_odom: Pose2 { x_m: 0.1 * tick as f64 - 2e-3, y_m: -0.3, yaw_rad: 3.0 },
         }),
         task: Some(Task::GoTo { x_m: 0.1 + 0.2, y_m: -1e-17 * tick as f64 }),
+        orders: vec![OperatorOrder {
+            who: "127.0.0.1:9".to_owned(),
+            role: Some(Role::Steer),
+            what: format!("go to tick {tick}"),
+            refused: tick.is_multiple_of(2).then(|| "the run keeps no map".to_owned()),
+        }],
         scan_odom: Pose2 { x_m: 0.1 * tick as f64 - 1e-3, y_m: -0.3, yaw_rad: 3.0 },
         safety: SafetyReport {
             in_charge: tick.is_multiple_of(3),
@@ -113,6 +120,7 @@ fn bare_tick(tick: u64) -> RecordedTick {
         frame: None,
         truth: None,
         task: None,
+        orders: Vec::new(),
         safety: SafetyReport::default(),
         snapshot: None,
         ..some_tick(tick)
@@ -296,7 +304,7 @@ prop_compose! {
         outside in prop::option::of(any_outside()),
     ) -> RecordedTick {
         let scan_odom = wheel.odom;
-        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, outside, frame, truth, task: None, safety, decision, snapshot: None }
+        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, outside, frame, truth, task: None, orders: Vec::new(), safety, decision, snapshot: None }
     }
 }
 

@@ -3,6 +3,7 @@
 use hal::{DepthMap, ImageView, LaserScan, PixelFormat, Pose2, WheelFeedback};
 
 use super::RecordingError;
+use crate::operator::OperatorOrder;
 use crate::outside_pose::OutsideInput;
 use crate::task::Task;
 use crate::tick::{Decision, SafetyReport, TickInput};
@@ -39,6 +40,8 @@ pub struct RecordedTick {
     pub truth: Option<DepthMap>,
     /// What the operator asked for.
     pub task: Option<Task>,
+    /// The orders that came since the previous tick.
+    pub orders: Vec<OperatorOrder>,
     /// What the safety loop did since the previous tick, with every command that it sent.
     pub safety: SafetyReport,
     /// The decision; `None` in a tick that was recorded without one.
@@ -62,6 +65,7 @@ impl RecordedTick {
             frame: None,
             truth: None,
             task: None,
+            orders: Vec::new(),
             safety: SafetyReport::default(),
             decision: None,
             snapshot: None,
@@ -94,6 +98,7 @@ impl RecordedTick {
             frame: frame.transpose()?,
             truth: input.truth.cloned(),
             task: input.task,
+            orders: input.orders.to_vec(),
             safety: input.safety.clone(),
             decision,
             snapshot: None,
@@ -145,6 +150,7 @@ impl RecordedTick {
                 .map_err(|source| RecordingError::Frame { tick: self.tick, source })?,
             truth: self.truth.as_ref(),
             task: self.task,
+            orders: &self.orders,
             safety: &self.safety,
         })
     }

@@ -2,8 +2,14 @@
 
 use fox::packed_element_field::NumericType;
 use foxglove::messages as fox;
-use hal::{CameraModel, DepthMap, Distortion, Pose2, Pose3};
+use hal::{CameraModel, DepthMap, Distortion, LaserScan, Pose2, Pose3};
 use nalgebra::UnitQuaternion;
+
+use super::scan;
+use super::sentences::{Severity, sentence};
+use crate::event::Event;
+
+const UPRIGHT: fox::Quaternion = fox::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
 
 /// The loop's map, path and depth after a tick, for viewers. The caller decides how often each is recorded.
 #[derive(Debug, Clone, Default)]
@@ -29,12 +35,14 @@ pub struct MapView {
     pub occupancy: Vec<i8>,
 }
 
-pub(super) fn timestamp(time_ns: u64) -> Option<fox::Timestamp> {
+/// A time as Foxglove writes it; `None` for one that it cannot hold.
+pub fn timestamp(time_ns: u64) -> Option<fox::Timestamp> {
     let seconds = u32::try_from(time_ns / 1_000_000_000).ok()?;
     fox::Timestamp::new_checked(seconds, (time_ns % 1_000_000_000) as u32)
 }
 
-pub(super) fn calibration(model: &CameraModel, time_ns: u64) -> fox::CameraCalibration {
+/// The intrinsics of the images.
+pub fn calibration(model: &CameraModel, time_ns: u64) -> fox::CameraCalibration {
     let (distortion_model, d) = match model.distortion {
         Distortion::PlumbBob(coefficients) => ("plumb_bob", coefficients.to_vec()),
         Distortion::Fisheye(coefficients) => ("kannala_brandt", coefficients.to_vec()),
@@ -55,7 +63,7 @@ pub(super) fn calibration(model: &CameraModel, time_ns: u64) -> fox::CameraCalib
 }
 
 /// A pose in `frame`; `None` when it is not finite, because viewers drop the whole scene when it holds a NaN.
-pub(super) fn pose_in(frame: &str, pose: &Pose2, time_ns: u64) -> Option<fox::PoseInFrame> {
+pub fn pose_in(frame: &str, pose: &Pose2, time_ns: u64) -> Option<fox::PoseInFrame> {
     let pose = pose.is_finite().then(|| fox_pose(&pose.to_pose3()))?;
     Some(fox::PoseInFrame {
         timestamp: timestamp(time_ns),
@@ -66,7 +74,7 @@ pub(super) fn pose_in(frame: &str, pose: &Pose2, time_ns: u64) -> Option<fox::Po
 
 /// Poses of `odom` in `map`, of the robot in `odom` and of its sensors in `base_link` (REP-105). The mounts never change, but
 /// every tick repeats them, because a viewer that jumps in time reads only the last message of a channel.
-pub(super) fn transforms(
+pub fn transforms(
     t_map_odom: &Pose2,
     t_odom_base: &Pose2,
     t_base_camera: &Pose3,
@@ -84,6 +92,41 @@ pub(super) fn transforms(
     fox::FrameTransforms { transforms }
 }
 
+/// A scan in the frame of the scanner. The live view gives it a real date in place of the scan's own time.
+pub fn scan(scan: &LaserScan, time_ns: u64) -> fox::LaserScan {
+    let geometry = &scan.geometry;
+    fox::LaserScan {
+        timestamp: timestamp(time_ns),
+        frame_id: "laser".to_owned(),
+        pose: Some(fox::Pose {
+            position: Some(fox::Vector3::default()),
+            orientation: Some(UPRIGHT),
+        }),
+        start_angle: geometry.angle_min_rad,
+        end_angle: geometry.angle_rad(scan.ranges.len().saturating_sub(1)),
+        ranges: scan.ranges.iter().map(|range| scan::encode(*range)).collect(),
+        intensities: Vec::new(),
+    }
+}
+
+/// An event as a sentence with its severity.
+pub fn log(event: &Event, time_ns: u64) -> fox::Log {
+    let (severity, message) = sentence(event);
+    let level = match severity {
+        Severity::Info => fox::log::Level::Info,
+        Severity::Warning => fox::log::Level::Warning,
+        Severity::Error => fox::log::Level::Error,
+    };
+    fox::Log {
+        timestamp: timestamp(time_ns),
+        level: level as i32,
+        message,
+        name: "robot".to_owned(),
+        file: String::new(),
+        line: 0,
+    }
+}
+
 fn transform(parent: &str, child: &str, pose: &Pose3, time_ns: u64) -> fox::FrameTransform {
     fox::FrameTransform {
         timestamp: timestamp(time_ns),
@@ -94,7 +137,8 @@ fn transform(parent: &str, child: &str, pose: &Pose3, time_ns: u64) -> fox::Fram
     }
 }
 
-pub(super) fn path(points_m: &[[f64; 2]], time_ns: u64) -> fox::PosesInFrame {
+/// Corner points in `map` as poses along the path.
+pub fn path(points_m: &[[f64; 2]], time_ns: u64) -> fox::PosesInFrame {
     let poses = (0..points_m.len()).map(|at| {
         let [x_m, y_m] = points_m[at];
         fox_pose(&Pose2 { x_m, y_m, yaw_rad: yaw_on_path(points_m, at) }.to_pose3())
@@ -116,7 +160,10 @@ fn yaw_on_path(points_m: &[[f64; 2]], at: usize) -> f64 {
 }
 
 /// Every cell holds a colour for viewers and the occupancy for programs.
-pub(super) fn grid(map: &MapView, time_ns: u64) -> Result<fox::Grid, String> {
+///
+/// # Errors
+/// Cells that do not make whole rows.
+pub fn grid(map: &MapView, time_ns: u64) -> Result<fox::Grid, String> {
     const CELL_BYTES: u32 = 5;
     let columns =
         u32::try_from(map.columns).map_err(|_| format!("{} columns are too many", map.columns))?;

@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 
 use super::header::SegmentHeader;
 use super::json::{OutsideJson, PoseJson, ScanJson, WheelJson};
-use super::sentences::{Severity, sentence};
 use super::tick::RecordedTick;
 use super::topics::Topic;
 use super::views::{self, Views};
-use super::{RecordingError, image, scan};
+use super::{RecordingError, image};
+use crate::operator::OperatorOrder;
 use crate::task::Task;
 use crate::tick::{Decision, SafetyReport};
 
@@ -62,6 +62,8 @@ pub(super) struct TickJson {
     pub snapshot: bool,
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub task: Option<Task>,
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub orders: Vec<OperatorOrder>,
     pub safety: SafetyReport,
 }
 
@@ -175,6 +177,7 @@ impl<W: Write> RecordingWriter<W> {
             decision: tick.decision.is_some(),
             snapshot: tick.snapshot.is_some(),
             task: tick.task,
+            orders: tick.orders.clone(),
             safety: tick.safety.clone(),
         };
         let json = serde_json::to_vec(&json)
@@ -184,20 +187,7 @@ impl<W: Write> RecordingWriter<W> {
             self.put(Topic::Snapshot, tick.tick, tick.time_ns, snapshot)?;
         }
         if let Some(scan) = &tick.scan {
-            let geometry = &scan.geometry;
-            let message = fox::LaserScan {
-                timestamp: views::timestamp(scan.time_ns),
-                frame_id: "laser".to_owned(),
-                pose: Some(fox::Pose {
-                    position: Some(fox::Vector3::default()),
-                    orientation: Some(UPRIGHT),
-                }),
-                start_angle: geometry.angle_min_rad,
-                end_angle: geometry.angle_rad(scan.ranges.len().saturating_sub(1)),
-                ranges: scan.ranges.iter().map(|range| scan::encode(*range)).collect(),
-                intensities: Vec::new(),
-            };
-            self.put_message(Topic::Scan, tick, &message)?;
+            self.put_message(Topic::Scan, tick, &views::scan(scan, scan.time_ns))?;
         }
         if let Some(frame) = &tick.frame {
             let png = image::encode_png(frame)
@@ -267,21 +257,7 @@ impl<W: Write> RecordingWriter<W> {
         }
         self.last_goal_m = decision.goal_m;
         for event in &decision.events {
-            let (severity, message) = sentence(event);
-            let level = match severity {
-                Severity::Info => fox::log::Level::Info,
-                Severity::Warning => fox::log::Level::Warning,
-                Severity::Error => fox::log::Level::Error,
-            };
-            let log = fox::Log {
-                timestamp: views::timestamp(tick.time_ns),
-                level: level as i32,
-                message,
-                name: "robot".to_owned(),
-                file: String::new(),
-                line: 0,
-            };
-            self.put_message(Topic::Events, tick, &log)?;
+            self.put_message(Topic::Events, tick, &views::log(event, tick.time_ns))?;
         }
         Ok(())
     }
@@ -364,8 +340,6 @@ impl<W: Write> RecordingWriter<W> {
         Ok(id)
     }
 }
-
-const UPRIGHT: fox::Quaternion = fox::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
 
 fn encode_error(tick: u64, topic: Topic, detail: &impl std::fmt::Display) -> RecordingError {
     RecordingError::Encode { tick, topic: topic.name(), detail: detail.to_string() }

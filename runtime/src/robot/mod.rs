@@ -308,6 +308,7 @@ impl Robot {
     pub(crate) fn tick(&mut self, input: &TickInput<'_>, timer: &mut impl StageTimer) -> Decision {
         let mut events = Vec::new();
         events.extend(self.new_network.take());
+        events.extend(input.orders.iter().map(|order| Event::Operator { order: order.clone() }));
         if let Some(task) = input.task {
             self.explorer.begin(task, &mut events);
         }

@@ -19,6 +19,7 @@ use hal::{Clock, DepthMap, ImageView};
 pub use safety_link::{SafetyPort, SafetyTask, safety_link};
 pub use virtual_time::{VirtualDevices, VirtualTime};
 
+use crate::operator::OperatorOrder;
 use crate::outside_pose::{OutsideInput, OutsidePose};
 use crate::recording::{RecordedTick, RecordingError};
 use crate::robot::{Robot, StageTimer};
@@ -26,6 +27,9 @@ use crate::safety::Plan;
 use crate::task::{PlaceNotFinite, Task};
 use crate::tick::{Decision, SafetyReport, TickInput};
 use wheel_history::WheelHistory;
+
+/// Orders that wait for one tick. More than a second's worth comes only while there are no ticks.
+const MOST_ORDERS: usize = 64;
 
 /// The exploration loop's devices: a clock and a camera. Wheels and scans come through the [`SafetyPort`].
 pub trait Devices: Clock {
@@ -77,6 +81,7 @@ pub struct Session<D> {
     report: SafetyReport,
     task: Option<Task>,
     outside: Option<OutsidePose>,
+    orders: Vec<OperatorOrder>,
     period_ns: u64,
     due_ns: u64,
     tick: u64,
@@ -95,6 +100,7 @@ impl<D: Devices> Session<D> {
             report: SafetyReport::default(),
             task: None,
             outside: None,
+            orders: Vec::new(),
             period_ns,
             due_ns,
             tick: 0,
@@ -142,6 +148,7 @@ impl<D: Devices> Session<D> {
             frame: frame_ns.and_then(|_| self.devices.frame()),
             truth: frame_ns.and_then(|_| self.devices.truth()),
             task: self.task.take(),
+            orders: &self.orders,
             safety: &self.report,
         };
         observer.before(&mut self.robot, &input)?;
@@ -151,6 +158,7 @@ impl<D: Devices> Session<D> {
         self.port.plan.write(Some(Plan { twist: decision.desired.into(), time_ns: plan_ns }));
         self.tick += 1;
         observer.after(&mut self.robot, &input, &decision)?;
+        self.orders.clear();
         Ok(Some(decision))
     }
 
@@ -172,6 +180,14 @@ impl<D: Devices> Session<D> {
         let outside = self.outside.take()?;
         let wheel = self.wheels.at(outside.time_ns)?;
         Some(OutsideInput { outside, wheel_odom: wheel.odom })
+    }
+
+    /// Notes an order of the operator in the input of the next tick, and so in the recording.
+    pub fn note(&mut self, order: OperatorOrder) {
+        // There is no tick, and no recording, before the first wheel feedback.
+        if self.orders.len() < MOST_ORDERS {
+            self.orders.push(order);
+        }
     }
 
     /// Number of ticks so far.

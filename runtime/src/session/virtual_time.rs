@@ -3,7 +3,7 @@
 use hal::{Base, Camera, Clock, DepthMap, Frame, ImageView, Lidar};
 
 use super::{Devices, SafetyTask};
-use crate::safety::{Orders, Request};
+use crate::safety::{Orders, Request, SafetyState};
 
 /// A clock that steps the safety loop while it sleeps, at the rate at which a thread would step it on a robot.
 pub struct VirtualTime<K, B, L> {
@@ -12,18 +12,38 @@ pub struct VirtualTime<K, B, L> {
     period_ns: u64,
     next_ns: u64,
     request: Option<Request>,
+    operator: Option<Operator>,
 }
+
+/// Gives the orders of a step. It is called before every step, with the state of the safety plane.
+type Operator = Box<dyn FnMut(SafetyState) -> Orders + Send>;
 
 impl<K: Clock, B: Base, L: Lidar> VirtualTime<K, B, L> {
     /// Steps `safety` every `period_ns` of `clock`, from now on.
     pub fn new(clock: K, safety: SafetyTask<B, L>, period_ns: u64) -> Self {
         let next_ns = clock.now_ns();
-        Self { clock, safety, period_ns: period_ns.max(1), next_ns, request: None }
+        Self { clock, safety, period_ns: period_ns.max(1), next_ns, request: None, operator: None }
     }
 
     /// Passes the operator's request to the next step of the safety loop.
     pub fn request(&mut self, request: Request) {
         self.request = Some(request);
+    }
+
+    /// Asks `operator` for orders before every step, so that they reach the safety plane without waiting for a tick.
+    pub fn set_operator(&mut self, operator: impl FnMut(SafetyState) -> Orders + Send + 'static) {
+        self.operator = Some(Box::new(operator));
+    }
+
+    fn orders(&mut self) -> Orders {
+        let state = self.safety.control().plane().state();
+        let orders = self.operator.as_mut().map_or_else(Orders::default, |ask| ask(state));
+        // The operator's order comes after the program's own, which may be that to arm: it replaces that one.
+        let request = self.request.take();
+        match orders {
+            Orders { request: None, emergency_stop: false, .. } => Orders { request, ..orders },
+            _ => orders,
+        }
     }
 
     /// The safety loop, for reading its state.
@@ -45,7 +65,7 @@ impl<K: Clock, B: Base, L: Lidar> Clock for VirtualTime<K, B, L> {
     fn sleep_until_ns(&mut self, deadline_ns: u64) {
         while self.next_ns <= deadline_ns {
             self.clock.sleep_until_ns(self.next_ns);
-            let orders = Orders { request: self.request.take(), ..Orders::default() };
+            let orders = self.orders();
             self.safety.step(self.clock.now_ns(), &orders);
             self.next_ns += self.period_ns;
         }

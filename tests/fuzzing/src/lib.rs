@@ -15,6 +15,7 @@ mod buffer_wire;
 mod bundle;
 mod can;
 mod config;
+mod live_view;
 mod localize_log;
 mod map_state;
 mod onnx_file;
@@ -31,6 +32,7 @@ pub use config::config;
 /// Arbitrary sequences of camera events: the driver follows the queue's rules and returns no stale
 /// frame.
 pub use hil::video::check_events as v4l2_queue;
+pub use live_view::live_view;
 pub use localize_log::localize_log;
 pub use map_state::map_state;
 pub use onnx_file::onnx_file;
@@ -49,6 +51,7 @@ pub const TARGETS: [(&str, Check); 13] = [
     ("bundle", bundle),
     ("can", can),
     ("config", config),
+    ("live_view", live_view),
     ("localize_log", localize_log),
     ("map_state", map_state),
     ("onnx_file", onnx_file),

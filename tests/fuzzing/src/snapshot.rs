@@ -60,6 +60,7 @@ pub(crate) fn run_ticks(robot: &mut Robot) {
             frame,
             truth: None,
             task: None,
+            orders: &[],
             safety: &SafetyReport::default(),
         };
         let recorded = RecordedTick::capture(&input, None).expect("an RGB8 frame");

@@ -103,3 +103,8 @@ fn file_stems(folder: PathBuf) -> Vec<String> {
 fn any_bytes_as_a_map_are_handled() {
     run_corpus("map_state");
 }
+
+#[test]
+fn any_bytes_from_a_client_of_the_live_view_are_handled() {
+    run_corpus("live_view");
+}

@@ -1,0 +1,270 @@
+//! Who may connect, and as what.
+
+use std::net::IpAddr;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+
+use runtime::operator::Role;
+
+/// The shortest token: 96 bits in base64.
+const SHORTEST: usize = 16;
+/// The longest name of a token's owner.
+const LONGEST_NAME: usize = 40;
+
+/// Options that the program does not accept.
+#[derive(Debug)]
+pub struct Refused(String);
+
+impl std::fmt::Display for Refused {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Refused {}
+
+/// A client that may connect.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Guest {
+    /// The name of its token, if it has one.
+    pub name: Option<String>,
+    /// What it may do.
+    pub role: Role,
+}
+
+/// The tokens of a file.
+#[derive(Debug, Default)]
+pub struct Tokens {
+    tokens: Vec<(blake3::Hash, Guest)>,
+}
+
+impl Tokens {
+    /// Reads a file that only its owner can read.
+    ///
+    /// # Errors
+    /// A file that others can read, or with a line that is not a token.
+    pub fn read(path: &Path) -> Result<Self, Refused> {
+        let refused = |why: String| Refused(format!("{}: {why}", path.display()));
+        let about = std::fs::metadata(path).map_err(|error| refused(error.to_string()))?;
+        if about.permissions().mode() & 0o077 != 0 {
+            return Err(refused(format!(
+                "other users can read the tokens: chmod 600 {}",
+                path.display()
+            )));
+        }
+        let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
+        Self::parse(&text).map_err(refused)
+    }
+
+    /// Reads the text of a file.
+    ///
+    /// # Errors
+    /// The number and the fault of a line that is not a token. It never holds the token.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let mut tokens = Vec::new();
+        for (at, line) in text.lines().enumerate() {
+            let line = line.trim();
+            if line.is_empty() || line.starts_with('#') {
+                continue;
+            }
+            let bad = |why: &str| format!("line {}: {why}", at + 1);
+            let parts: Vec<&str> = line.split_whitespace().collect();
+            let [name, role, token] = parts[..] else {
+                return Err(bad("a line is NAME watch|steer TOKEN"));
+            };
+            let role = match role {
+                "watch" => Role::Watch,
+                "steer" => Role::Steer,
+                _ => return Err(bad("the role is neither `watch` nor `steer`")),
+            };
+            if name.len() > LONGEST_NAME {
+                return Err(bad("the name is longer than 40 bytes"));
+            }
+            if token.len() < SHORTEST {
+                return Err(bad(
+                    "the token is shorter than 16 characters; `openssl rand -hex 16` makes one",
+                ));
+            }
+            let guest = Guest { name: Some(name.to_owned()), role };
+            tokens.push((blake3::hash(token.as_bytes()), guest));
+        }
+        if tokens.is_empty() {
+            return Err("there is no token: a line is NAME watch|steer TOKEN".to_owned());
+        }
+        Ok(Self { tokens })
+    }
+
+    /// The client of a token. It takes the same time whichever token it is.
+    fn find(&self, token: &str) -> Option<&Guest> {
+        let given = blake3::hash(token.as_bytes());
+        let mut found = None;
+        for (hash, guest) in &self.tokens {
+            if *hash == given {
+                found = Some(guest);
+            }
+        }
+        found
+    }
+}
+
+/// The rules of access.
+#[derive(Debug)]
+pub struct Access {
+    tokens: Option<Tokens>,
+    origins: Vec<String>,
+}
+
+/// What a client says of itself before it is connected.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Introduction<'a> {
+    pub token: Option<&'a str>,
+    /// The page that connects, where a browser does.
+    pub origin: Option<&'a str>,
+    /// The server's name as the client wrote it.
+    pub host: Option<&'a str>,
+}
+
+impl Access {
+    /// The rules for a server at this address.
+    ///
+    /// # Errors
+    /// An address that other computers can reach, without tokens.
+    pub fn new(
+        address: IpAddr,
+        tokens: Option<Tokens>,
+        origins: Vec<String>,
+    ) -> Result<Self, Refused> {
+        if !address.is_loopback() && tokens.is_none() {
+            return Err(Refused(format!(
+                "other computers could steer the robot at {address}: give --tokens FILE, or listen at 127.0.0.1 and \
+                 connect by `ssh -L 8765:127.0.0.1:8765 ROBOT`"
+            )));
+        }
+        Ok(Self { tokens, origins })
+    }
+
+    /// Whether every client needs a token.
+    #[must_use]
+    pub fn needs_token(&self) -> bool {
+        self.tokens.is_some()
+    }
+
+    /// Admits a client.
+    ///
+    /// # Errors
+    /// Why it is not admitted.
+    pub fn admit(&self, client: Introduction<'_>) -> Result<Guest, &'static str> {
+        // A token is not sent by a browser on its own, so the page that sends it was given it.
+        if let Some(tokens) = &self.tokens {
+            let found = client.token.and_then(|token| tokens.find(token));
+            return found.cloned().ok_or("a token is needed, and this is none");
+        }
+        // Without tokens, a page of the internet in a browser on this computer must not steer the robot: neither from its own
+        // origin, nor by a name of its own that it lets point to this computer.
+        if !client.host.is_some_and(is_loopback) {
+            return Err("the address must be 127.0.0.1 or localhost");
+        }
+        let is_own = client.origin.is_none_or(|origin| {
+            origin.strip_prefix("http://").is_some_and(|name| Some(name) == client.host)
+                || self.origins.iter().any(|allowed| allowed == origin)
+        });
+        if !is_own {
+            return Err("pages of this origin may not connect; see --allow-origin");
+        }
+        Ok(Guest { name: None, role: Role::Steer })
+    }
+}
+
+/// Whether a `Host` header names this computer by what no name server can change.
+fn is_loopback(host: &str) -> bool {
+    let name = match host.rsplit_once(':') {
+        Some((name, port)) if port.bytes().all(|byte| byte.is_ascii_digit()) => name,
+        _ => host,
+    };
+    let name = name.trim_start_matches('[').trim_end_matches(']');
+    name == "localhost" || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::{Ipv4Addr, Ipv6Addr};
+
+    const LOCAL: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
+    const TOKENS: &str =
+        "# tokens\n\nanna steer aaaaaaaaaaaaaaaa1\nscreen watch bbbbbbbbbbbbbbbb2\n";
+
+    fn of_host(host: &str) -> Introduction<'_> {
+        Introduction { host: Some(host), ..Introduction::default() }
+    }
+
+    #[test]
+    fn another_address_than_loopback_needs_tokens() {
+        for address in ["0.0.0.0", "192.168.1.7", "::"] {
+            let address: IpAddr = address.parse().unwrap();
+            let refused = Access::new(address, None, Vec::new()).unwrap_err();
+            assert!(refused.to_string().contains("--tokens"), "{refused}");
+            let tokens = Tokens::parse(TOKENS).unwrap();
+            assert!(Access::new(address, Some(tokens), Vec::new()).is_ok());
+        }
+        assert!(Access::new(Ipv6Addr::LOCALHOST.into(), None, Vec::new()).is_ok());
+    }
+
+    #[test]
+    fn a_token_gives_its_role_and_nothing_else_does() {
+        let access = Access::new(LOCAL, Some(Tokens::parse(TOKENS).unwrap()), Vec::new()).unwrap();
+        let with = |token| access.admit(Introduction { token, ..of_host("robot.local:8765") });
+        let anna = Guest { name: Some("anna".to_owned()), role: Role::Steer };
+        assert_eq!(with(Some("aaaaaaaaaaaaaaaa1")), Ok(anna));
+        assert_eq!(with(Some("bbbbbbbbbbbbbbbb2")).unwrap().role, Role::Watch);
+        for wrong in [None, Some(""), Some("aaaaaaaaaaaaaaaa"), Some("anna")] {
+            assert!(with(wrong).is_err());
+        }
+        assert!(access.admit(of_host("127.0.0.1:8765")).is_err());
+    }
+
+    #[test]
+    fn a_page_of_the_internet_steers_nothing_on_this_computer() {
+        let access = Access::new(LOCAL, None, vec!["https://app.foxglove.dev".to_owned()]).unwrap();
+        let from = |origin, host| {
+            access.admit(Introduction { origin: Some(origin), ..of_host(host) }).is_ok()
+        };
+        assert!(from("http://127.0.0.1:8765", "127.0.0.1:8765"));
+        assert!(from("http://localhost:8765", "localhost:8765"));
+        assert!(from("https://app.foxglove.dev", "127.0.0.1:8765"));
+        assert!(!from("http://evil.example", "127.0.0.1:8765"));
+        assert!(!from("null", "127.0.0.1:8765"));
+        assert!(!from("http://127.0.0.1:9999", "127.0.0.1:8765"));
+        // Its own name, which its name server lets point to this computer.
+        assert!(!from("http://evil.example:8765", "evil.example:8765"));
+        assert!(!from("http://127.0.0.1.evil.example", "127.0.0.1.evil.example"));
+        assert!(access.admit(of_host("[::1]:8765")).is_ok());
+        assert!(access.admit(Introduction::default()).is_err());
+    }
+
+    #[test]
+    fn a_file_of_tokens_names_the_line_that_is_wrong_and_never_the_token() {
+        for (text, part) in [
+            ("anna steer", "line 1"),
+            ("# x\nanna root aaaaaaaaaaaaaaaa1", "line 2"),
+            ("anna steer short", "openssl"),
+            ("", "no token"),
+        ] {
+            let error = Tokens::parse(text).unwrap_err();
+            assert!(error.contains(part) && !error.contains("aaaa"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_file_that_others_can_read_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("tokens");
+        std::fs::write(&path, TOKENS).unwrap();
+        let set = |mode| std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode));
+        set(0o644).unwrap();
+        assert!(Tokens::read(&path).unwrap_err().to_string().contains("chmod 600"));
+        set(0o600).unwrap();
+        assert!(Tokens::read(&path).is_ok());
+        assert!(Tokens::read(&dir.path().join("none")).is_err());
+    }
+}

@@ -1,0 +1,109 @@
+//! The page and the WebSocket at one address.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use axum::Router;
+use axum::body::Body;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::{ConnectInfo, Query, Request, State};
+use axum::http::header::{HOST, ORIGIN};
+use axum::http::{HeaderMap, StatusCode};
+use axum::middleware::{Next, from_fn_with_state};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use serde::Deserialize;
+use tokio::net::TcpListener;
+
+use crate::access::{Access, Introduction};
+use crate::page;
+use crate::protocol::SUBPROTOCOLS;
+use crate::robot::Robot;
+use crate::session::Session;
+
+/// The largest message of a client: an order needs 100 bytes, subscriptions of Foxglove some kilobytes.
+const MOST_BYTES: usize = 64 << 10;
+/// Most clients at a time.
+const MOST_CLIENTS: usize = 32;
+
+#[derive(Clone)]
+struct Hall {
+    robot: Robot,
+    access: Arc<Access>,
+}
+
+#[derive(Deserialize)]
+struct Entry {
+    token: Option<String>,
+}
+
+/// Serves until an error of the system.
+///
+/// # Errors
+/// When the system takes the listener away.
+pub async fn serve(listener: TcpListener, robot: Robot, access: Access) -> Result<()> {
+    let hall = Hall { robot, access: Arc::new(access) };
+    let routes = Router::new()
+        .route("/", get(enter))
+        .route("/{file}", get(page::file))
+        .layer(from_fn_with_state(hall.clone(), guard))
+        .with_state(hall);
+    let service = routes.into_make_service_with_connect_info::<SocketAddr>();
+    axum::serve(listener, service).await.context("the server has ended")
+}
+
+/// Without tokens, a name that is not this computer's gets nothing at all.
+async fn guard(State(hall): State<Hall>, request: Request<Body>, next: Next) -> Response {
+    let host = text(request.headers(), &HOST);
+    if !hall.access.needs_token()
+        && hall.access.admit(Introduction { host, ..Introduction::default() }).is_err()
+    {
+        return (StatusCode::FORBIDDEN, "the address must be 127.0.0.1 or localhost\n")
+            .into_response();
+    }
+    page::with_headers(next.run(request).await)
+}
+
+/// The page, or the WebSocket if the client asks for it. Foxglove connects to the root.
+async fn enter(
+    State(hall): State<Hall>,
+    ConnectInfo(address): ConnectInfo<SocketAddr>,
+    Query(entry): Query<Entry>,
+    headers: HeaderMap,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Response {
+    let Ok(upgrade) = upgrade else { return page::index() };
+    let client = Introduction {
+        token: entry.token.as_deref(),
+        origin: text(&headers, &ORIGIN),
+        host: text(&headers, &HOST),
+    };
+    let guest = match hall.access.admit(client) {
+        Ok(guest) => guest,
+        Err(why) => {
+            tracing::warn!("{address} was not admitted: {why}");
+            let code = if hall.access.needs_token() {
+                StatusCode::UNAUTHORIZED
+            } else {
+                StatusCode::FORBIDDEN
+            };
+            return (code, format!("{why}\n")).into_response();
+        }
+    };
+    if hall.robot.listeners() >= MOST_CLIENTS {
+        return (StatusCode::SERVICE_UNAVAILABLE, "there are too many clients\n").into_response();
+    }
+    let upgrade =
+        upgrade.protocols(SUBPROTOCOLS).max_message_size(MOST_BYTES).max_frame_size(MOST_BYTES);
+    if upgrade.selected_protocol().is_none() {
+        let why = format!("the subprotocol {} is spoken here\n", SUBPROTOCOLS[0]);
+        return (StatusCode::BAD_REQUEST, why).into_response();
+    }
+    upgrade.on_upgrade(move |socket| Session::run(socket, hall.robot, guest, address.to_string()))
+}
+
+fn text<'a>(headers: &'a HeaderMap, name: &axum::http::HeaderName) -> Option<&'a str> {
+    headers.get(name)?.to_str().ok()
+}

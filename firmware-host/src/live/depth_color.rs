@@ -1,0 +1,62 @@
+//! Depth as a colour: yellow near, blue-violet far. Lightness falls with distance, so that it can be read without seeing hues.
+
+use hal::DepthMap;
+
+/// The nearest and the farthest depth that differ in colour, metres.
+const NEAR_M: f32 = 0.3;
+const FAR_M: f32 = 10.0;
+/// Where there is no depth.
+const NONE: [u8; 3] = [110, 110, 110];
+/// From near to far: nine colours of the perceptually uniform map viridis (matplotlib, CC0), from its end to its beginning.
+const RAMP: [[u8; 3]; 9] = [
+    [253, 231, 37],
+    [173, 220, 48],
+    [94, 201, 98],
+    [40, 174, 128],
+    [33, 145, 140],
+    [44, 113, 142],
+    [59, 82, 139],
+    [72, 40, 120],
+    [68, 1, 84],
+];
+
+/// The image in RGB8, row-major.
+pub fn image(depth: &DepthMap) -> Vec<u8> {
+    depth.values().iter().flat_map(|depth_m| color(*depth_m)).collect()
+}
+
+/// The colour of a depth on a logarithmic scale, as near things matter more.
+fn color(depth_m: f32) -> [u8; 3] {
+    if !(depth_m > 0.0 && depth_m.is_finite()) {
+        return NONE;
+    }
+    let share = (depth_m / NEAR_M).ln() / (FAR_M / NEAR_M).ln();
+    let at = share.clamp(0.0, 1.0) * (RAMP.len() - 1) as f32;
+    let index = (at as usize).min(RAMP.len() - 2);
+    let part = at - index as f32;
+    let mut mixed = RAMP[index];
+    for (channel, far) in mixed.iter_mut().zip(RAMP[index + 1]) {
+        let near = f32::from(*channel);
+        *channel = (near + (f32::from(far) - near) * part).round() as u8;
+    }
+    mixed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn farther_is_darker_and_no_depth_is_grey() {
+        let luma = |depth_m| {
+            let [red, green, blue] = color(depth_m).map(f32::from);
+            0.2126 * red + 0.7152 * green + 0.0722 * blue
+        };
+        let depths = [0.3, 0.5, 0.8, 1.3, 2.0, 3.0, 5.0, 8.0, 10.0];
+        assert!(depths.windows(2).all(|pair| luma(pair[0]) > luma(pair[1])));
+        for none in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            assert_eq!(color(none), NONE);
+        }
+        assert_eq!((color(0.01), color(90.0)), (RAMP[0], RAMP[8]));
+    }
+}

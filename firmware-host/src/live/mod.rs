@@ -1,0 +1,158 @@
+//! The live view of a running robot: telemetry to, and orders from, the programs that connect to a Unix socket.
+//!
+//! The planes neither wait for it nor know of it. After a tick, the loop copies what some client has subscribed, as often as the
+//! configuration allows, into a short queue; what does not fit is dropped and counted. A thread of low priority encodes it, and
+//! every client has a reader and a writer of its own. Orders to stop and to arm go from the client's thread to the safety plane
+//! directly ([`ControlPanel`]); tasks wait for the next tick. Every order is noted in the input of a tick, and so recorded.
+
+mod channels;
+mod depth_color;
+mod desk;
+mod encode;
+mod hub;
+mod moment;
+mod rate;
+mod socket;
+#[cfg(test)]
+mod tests;
+mod words;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::time::Duration;
+
+use anyhow::Result;
+use hal::{CameraModel, Pose3};
+use runtime::operator::OperatorOrder;
+use runtime::robot::Robot;
+use runtime::session::{Devices, Session};
+use runtime::tick::{Decision, TickInput};
+
+use crate::config::Config;
+use crate::control_panel::ControlPanel;
+use crate::failure;
+use crate::map::KeptMap;
+use crate::run::status::Status;
+use crate::setup::laser_mount;
+use desk::{Desk, LoopOrder};
+use encode::{Encoder, Item};
+use hub::Hub;
+use moment::Copies;
+use socket::Server;
+use words::Narrator;
+
+/// Ticks that wait for the thread that encodes them: the time that a large map takes.
+const QUEUE: usize = 4;
+/// Orders that wait for the next tick.
+const ORDERS: usize = 32;
+
+/// The live view, as the exploration loop sees it.
+pub struct Live {
+    hub: Arc<Hub>,
+    queue: SyncSender<Item>,
+    copies: Copies,
+    narrator: Narrator,
+    orders: Receiver<LoopOrder>,
+    notes: Receiver<OperatorOrder>,
+    dropped: u64,
+    // Its `drop` ends the threads and removes the socket.
+    _server: Server,
+}
+
+/// What the views of a run have in common.
+#[derive(Debug, Clone)]
+pub(crate) struct Mounts {
+    pub camera: CameraModel,
+    pub t_base_camera: Pose3,
+    pub t_base_laser: Pose3,
+}
+
+/// The socket that the command line or the configuration names.
+#[must_use]
+pub fn socket_of(argument: Option<&Path>, config: &Config) -> Option<PathBuf> {
+    let configured = Some(&config.live.socket).filter(|path| !path.is_empty());
+    argument.map(Path::to_path_buf).or_else(|| configured.map(PathBuf::from))
+}
+
+impl Live {
+    /// Opens the socket and starts the threads.
+    ///
+    /// # Errors
+    /// A socket that cannot be opened, for example because another robot serves it.
+    pub fn start(
+        path: &Path,
+        config: &Config,
+        panel: ControlPanel,
+        keeps_map: bool,
+    ) -> Result<Self> {
+        let hub = Arc::new(Hub::default());
+        let (queue, items) = sync_channel(QUEUE);
+        let (order_sender, orders) = sync_channel(ORDERS);
+        let (note_sender, notes) = sync_channel(ORDERS);
+        let desk = Desk::new(panel.clone(), order_sender, note_sender, keeps_map);
+        let server = Server::start(path, Arc::clone(&hub), Arc::new(desk))?;
+        let mounts = Mounts {
+            camera: config.camera.model(),
+            t_base_camera: config.camera.mount(),
+            t_base_laser: laser_mount(config),
+        };
+        Encoder::start(Arc::clone(&hub), config.live.clone(), mounts, items)?;
+        let copies = Copies::new(&config.live, Arc::clone(&hub));
+        let narrator = Narrator::new(panel);
+        Ok(Self { hub, queue, copies, narrator, orders, notes, dropped: 0, _server: server })
+    }
+
+    /// Gives the orders that have come to the session before its next tick.
+    pub fn serve<D: Devices>(&mut self, session: &mut Session<D>, map: Option<&mut KeptMap>) {
+        while let Ok(note) = self.notes.try_recv() {
+            tracing::warn!("{}", note.sentence());
+            session.note(note);
+        }
+        let mut map = map;
+        while let Ok(order) = self.orders.try_recv() {
+            match order {
+                LoopOrder::Task(task) => {
+                    // The place was checked when the order was read.
+                    if let Err(error) = session.give(task) {
+                        tracing::error!("{error}");
+                    }
+                }
+                LoopOrder::SaveMap => {
+                    let saved = map.as_mut().map(|map| map.save_aside(session.robot()));
+                    if let Some(Err(error)) = saved {
+                        tracing::error!("{}", failure::sentence(&error));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Shows a tick to the clients, as far as some have subscribed and the thread that encodes keeps up. Never waits.
+    pub fn offer(
+        &mut self,
+        robot: &Robot,
+        input: &TickInput<'_>,
+        decision: &Decision,
+        took: Duration,
+    ) {
+        self.narrator.note(input, decision);
+        if !self.hub.has_subscriptions() {
+            return;
+        }
+        let now = self.narrator.now(robot, input, decision, took, self.dropped);
+        let moment = self.copies.of(robot, input, decision, now);
+        if self.queue.try_send(Item::Tick(Box::new(moment))).is_err() {
+            self.dropped += 1;
+        }
+    }
+
+    /// Shows the robot's health.
+    pub fn show_health(&mut self, status: &Status) {
+        if self.hub.has_subscriptions()
+            && self.queue.try_send(Item::Health(Box::new(status.clone()))).is_err()
+        {
+            self.dropped += 1;
+        }
+    }
+}

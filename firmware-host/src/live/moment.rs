@@ -1,0 +1,112 @@
+//! What the exploration loop copies of a tick for the live view: only what is subscribed, and only as often as is allowed.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use hal::{DepthMap, LaserScan, Pose2};
+use runtime::event::Event;
+use runtime::recording::{MapView, RgbImage};
+use runtime::robot::Robot;
+use runtime::tick::{Decision, TickInput};
+
+use super::channels::Topic;
+use super::hub::Hub;
+use super::rate::Pulse;
+use super::words::Now;
+use crate::config::LiveSection;
+use crate::report::map_view::map_view;
+use crate::run::status::unix_s;
+
+/// The path changes rarely, and clients that connect late need it.
+const PATH_HZ: f64 = 5.0;
+
+/// A tick, as far as some client wants it.
+#[derive(Debug, Default)]
+pub struct Moment {
+    /// Nanoseconds since 1970.
+    pub time_ns: u64,
+    pub now: Now,
+    pub t_odom_base: Pose2,
+    pub t_map_odom: Pose2,
+    pub goal_m: Option<[f64; 2]>,
+    pub scan: Option<LaserScan>,
+    pub path_m: Option<Vec<[f64; 2]>>,
+    pub map: Option<MapView>,
+    pub frame: Option<RgbImage>,
+    pub depth: Option<DepthMap>,
+    pub events: Vec<Event>,
+}
+
+/// Makes moments.
+pub struct Copies {
+    hub: Arc<Hub>,
+    scan: Pulse,
+    path: Pulse,
+    map: Pulse,
+    camera: Pulse,
+    depth: Pulse,
+    /// The run's clock at 0, in nanoseconds since 1970. A simulation has a clock of its own.
+    epoch_ns: Option<u64>,
+}
+
+impl Copies {
+    /// At the rates of the configuration.
+    pub fn new(config: &LiveSection, hub: Arc<Hub>) -> Self {
+        Self {
+            hub,
+            scan: Pulse::of_hz(config.scan_hz),
+            path: Pulse::of_hz(PATH_HZ),
+            map: Pulse::of_hz(config.map_hz),
+            camera: Pulse::of_hz(config.camera_hz),
+            depth: Pulse::of_hz(config.depth_hz),
+            epoch_ns: None,
+        }
+    }
+
+    /// Copies a tick.
+    pub fn of(
+        &mut self,
+        robot: &Robot,
+        input: &TickInput<'_>,
+        decision: &Decision,
+        now: Now,
+    ) -> Moment {
+        let at = Instant::now();
+        let started = || ((unix_s() * 1e9) as u64).saturating_sub(input.time_ns);
+        let time_ns = *self.epoch_ns.get_or_insert_with(started) + input.time_ns;
+        let mut moment = Moment {
+            time_ns,
+            now,
+            t_odom_base: decision.t_odom_base,
+            t_map_odom: decision.t_map_odom,
+            goal_m: decision.goal_m,
+            ..Moment::default()
+        };
+        if self.hub.wants(Topic::Scan) && self.scan.is_due(at) {
+            moment.scan = input.scan.cloned();
+        }
+        if self.hub.wants(Topic::Path) && self.path.is_due(at) {
+            let is_driving = robot.explorer().goal().is_some();
+            let corners_m = if is_driving { robot.explorer().path_m() } else { &[] };
+            moment.path_m = Some(corners_m.to_vec());
+        }
+        if self.hub.wants(Topic::Map) && self.map.is_due(at) {
+            moment.map = map_view(robot.map());
+        }
+        if let Some(view) = input.frame.filter(|_| self.hub.wants(Topic::Camera))
+            && self.camera.is_due(at)
+        {
+            let rgb = view.data().to_vec();
+            moment.frame = Some(RgbImage { width: view.width(), height: view.height(), rgb });
+        }
+        if let Some(depth) = robot.mapped_depth().filter(|_| self.hub.wants(Topic::Depth))
+            && self.depth.is_due(at)
+        {
+            moment.depth = Some(depth.depth.clone());
+        }
+        if self.hub.wants(Topic::Events) {
+            moment.events.clone_from(&decision.events);
+        }
+        moment
+    }
+}

@@ -1,0 +1,136 @@
+//! The page in a real browser.
+
+use std::path::Path;
+use std::time::Duration;
+
+use live_view::access::Access;
+use live_view::robot::Robot;
+use live_view::server;
+use tokio::net::TcpListener;
+
+use super::devtools::{Browser, program};
+use super::explore::Explore;
+
+/// Serves the page for a run, and returns its address.
+async fn serve(run: &Explore) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let access = Access::new(address.ip(), None, Vec::new()).unwrap();
+    let robot = Robot::connect(&run.socket());
+    tokio::spawn(server::serve(listener, robot, access));
+    format!("http://{address}/")
+}
+
+fn text(id: &str) -> String {
+    format!("document.getElementById('{id}').textContent")
+}
+
+fn is_shown(id: &str) -> String {
+    format!("document.getElementById('{id}').checkVisibility()")
+}
+
+/// Whether some pixels of the map are white, which free cells are.
+const MAP_IS_SHOWN: &str = "(() => { const map = document.getElementById('map');
+    const data = map.getContext('2d').getImageData(0, 0, map.width, map.height).data;
+    let white = 0;
+    for (let at = 0; at < data.length; at += 4) if (data[at] + data[at + 1] + data[at + 2] === 765) white++;
+    return white > 2000; })()";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_page_shows_a_run_and_its_buttons_act() {
+    let Some(program) = program() else { return };
+    let mut run = Explore::start(&["--seed", "1", "--no-recording"]);
+    let page = serve(&run).await;
+    let mut browser = Browser::start(program).await;
+    browser.resize(1280, 800, 1.0).await;
+    browser.open(&page).await;
+    browser.wait("live data", "document.getElementById('link')?.textContent === 'live'").await;
+    browser.wait("the map", MAP_IS_SHOWN).await;
+    for image in ["camera", "depth"] {
+        browser
+            .wait(image, &format!("document.getElementById('{image}').naturalWidth > 100"))
+            .await;
+    }
+    browser.wait("the health", &format!("{}.includes('Mapped floor')", text("health"))).await;
+
+    browser.click("[data-order=pause]").await;
+    browser.wait("a pause", &format!("{}.startsWith('Paused')", text("why"))).await;
+    browser.click("[data-order=resume]").await;
+    browser.wait("driving", &format!("!{}.startsWith('Paused')", text("why"))).await;
+    browser.click("#stop").await;
+    browser.wait("a stop", &format!("{}.includes('emergency stop')", text("why"))).await;
+    let answer = browser.value(&text("answer")).await;
+    assert_eq!(answer, "stop: the safety plane has stopped the robot");
+    browser.click("[data-order=arm]").await;
+    browser.wait("driving again", &format!("!{}.includes('Stopped')", text("why"))).await;
+    browser.press_key("Escape").await;
+    browser.wait("a stop by key", &format!("{}.includes('emergency stop')", text("why"))).await;
+
+    // A tap on the map asks before the robot goes.
+    browser.click("[data-order=arm]").await;
+    browser.click("#map").await;
+    browser.wait("the question", &is_shown("ask")).await;
+    browser.click("#ask-go").await;
+    browser
+        .wait("the answer", &format!("{}.startsWith('go to: the robot takes it')", text("answer")))
+        .await;
+    run.end();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_robot_that_is_gone_is_shown_as_lost_and_as_live_when_it_is_back() {
+    let Some(program) = program() else { return };
+    let mut run = Explore::start(&["--seed", "1", "--no-recording"]);
+    let page = serve(&run).await;
+    let mut browser = Browser::start(program).await;
+    browser.open(&page).await;
+    browser.wait("live data", "document.getElementById('link')?.textContent === 'live'").await;
+    // The page itself measures how long it takes from the last data to the alarm.
+    let watch = "window.seen = new Promise((done) => {
+        let last = performance.now();
+        new MutationObserver(() => { last = performance.now(); })
+            .observe(document.getElementById('facts'), {childList: true, characterData: true, subtree: true});
+        const lost = document.getElementById('lost');
+        new MutationObserver(() => { if (!lost.hidden) done(performance.now() - last); })
+            .observe(lost, {attributes: true});
+    }); true";
+    browser.value(watch).await;
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    run.kill();
+    let after_ms = browser.value("window.seen").await.as_f64().unwrap();
+    println!("the lost link is shown {after_ms:.0} ms after the last data");
+    // Its limit is 0.8 s; the rest is for a computer that does something else as well.
+    assert!(after_ms < 3000.0, "{after_ms} ms");
+    assert_eq!(browser.value(&is_shown("lost")).await, true);
+    let said = browser.value(&text("lost")).await;
+    assert!(said.as_str().unwrap().contains("STOP does not reach it"), "{said}");
+
+    // Another run at the same socket.
+    let again = Explore::start(&["--seed", "2", "--no-recording"]);
+    let _ = std::fs::remove_file(run.socket());
+    std::os::unix::fs::symlink(again.socket(), run.socket()).unwrap();
+    browser
+        .wait("live data again", "document.getElementById('link')?.textContent === 'live'")
+        .await;
+}
+
+/// Makes the images of docs/live-view.md: `cargo xtask live` runs it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "writes docs/images; `cargo xtask live` runs it"]
+async fn screenshots_for_the_documentation() {
+    let images = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/images");
+    let program = program().unwrap();
+    let run = Explore::with("[camera]\nwidth = 480\nheight = 144\n", &["--seed", "1"]);
+    let page = serve(&run).await;
+    let mut laptop = Browser::start(program).await;
+    let mut phone = Browser::start(program).await;
+    laptop.resize(1366, 860, 1.0).await;
+    phone.resize(360, 780, 2.0).await;
+    laptop.open(&page).await;
+    phone.open(&page).await;
+    let seconds = std::env::var("LIVE_SECONDS").ok().and_then(|text| text.parse().ok());
+    tokio::time::sleep(Duration::from_secs(seconds.unwrap_or(90))).await;
+    laptop.wait("driving", &format!("{}.startsWith('Drives to')", text("why"))).await;
+    laptop.screenshot(&images.join("live-laptop.png")).await;
+    phone.screenshot(&images.join("live-phone.png")).await;
+}

@@ -1,0 +1,179 @@
+//! The figures in docs/live-view.md. Nothing here can fail by being slow.
+
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use futures_util::{SinkExt, StreamExt};
+use live_view::access::Access;
+use live_view::robot::Robot;
+use live_view::server;
+use serde_json::{Value, json};
+use tokio::net::{TcpListener, TcpStream};
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+
+use super::explore::Explore;
+
+type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
+
+const STOPS: usize = 200;
+/// Ticks of a run whose cost is measured, and runs of each kind.
+const TICKS: &str = "600";
+const PAIRS: usize = 3;
+
+async fn serve(socket: &std::path::Path) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let access = Access::new(address.ip(), None, Vec::new()).unwrap();
+    tokio::spawn(server::serve(listener, Robot::connect(socket), access));
+    format!("ws://{address}/")
+}
+
+/// Connects and subscribes everything. Returns the socket, and the topics by their subscriptions.
+async fn connect(url: &str) -> (Socket, Vec<String>) {
+    let mut request = url.into_client_request().unwrap();
+    request.headers_mut().insert("sec-websocket-protocol", "foxglove.sdk.v1".parse().unwrap());
+    let (mut socket, _) = connect_async(request).await.unwrap();
+    loop {
+        let Message::Text(text) = socket.next().await.unwrap().unwrap() else { continue };
+        let message: Value = serde_json::from_str(&text).unwrap();
+        let Some(channels) = message["channels"].as_array().filter(|list| !list.is_empty()) else {
+            continue;
+        };
+        let topics = channels.iter().map(|channel| channel["topic"].as_str().unwrap().to_owned());
+        let subscriptions: Vec<_> = channels
+            .iter()
+            .map(|channel| json!({"id": channel["id"], "channelId": channel["id"]}))
+            .collect();
+        let subscribe = json!({"op": "subscribe", "subscriptions": subscriptions});
+        socket.send(Message::Text(subscribe.to_string().into())).await.unwrap();
+        return (socket, topics.collect());
+    }
+}
+
+fn percentile(sorted: &[f64], share: f64) -> f64 {
+    sorted[((sorted.len() - 1) as f64 * share).round() as usize]
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "prints figures for the documentation"]
+async fn figures_of_the_link() {
+    let run = Explore::with("", &["--seed", "1", "--no-recording"]);
+    let url = serve(&run.socket()).await;
+    // The robot's map has begun.
+    tokio::time::sleep(Duration::from_secs(5)).await;
+    let mut firsts = Vec::new();
+    for _ in 0..20 {
+        let began = Instant::now();
+        let (mut socket, topics) = connect(&url).await;
+        let map = topics.iter().position(|topic| topic == "/map").unwrap() as u32;
+        loop {
+            let message = socket.next().await.unwrap().unwrap();
+            if let Message::Binary(bytes) = message
+                && bytes[..5] == [&[1], &map.to_le_bytes()[..]].concat()
+            {
+                break;
+            }
+        }
+        firsts.push(began.elapsed().as_secs_f64() * 1e3);
+    }
+    firsts.sort_by(f64::total_cmp);
+    println!(
+        "first map: median {:.0} ms, worst {:.0} ms",
+        percentile(&firsts, 0.5),
+        percentile(&firsts, 1.0)
+    );
+
+    let (mut socket, _) = connect(&url).await;
+    let mut times = Vec::new();
+    for call in 0..STOPS as u32 {
+        // A stop of a robot that drives: it is armed before.
+        for (service, measured) in [(3u32, false), (1u32, true)] {
+            let began = Instant::now();
+            let head = [&[2][..], &service.to_le_bytes(), &call.to_le_bytes(), &4u32.to_le_bytes()];
+            let bytes = [head.concat(), b"json{}".to_vec()].concat();
+            socket.send(Message::Binary(bytes.into())).await.unwrap();
+            loop {
+                let message = socket.next().await.unwrap().unwrap();
+                let Message::Binary(bytes) = message else { continue };
+                if bytes[0] == 3 {
+                    let said = String::from_utf8_lossy(&bytes);
+                    if measured {
+                        assert!(said.contains("has stopped the robot"), "{said}");
+                        times.push(began.elapsed().as_secs_f64() * 1e3);
+                    }
+                    break;
+                }
+            }
+            // Fewer than five orders a second, and time to arm.
+            tokio::time::sleep(Duration::from_millis(450)).await;
+        }
+    }
+    times.sort_by(f64::total_cmp);
+    let [p50, p99, worst] = [0.5, 0.99, 1.0].map(|share| percentile(&times, share));
+    println!(
+        "STOP over loopback until the safety plane has confirmed: p50 {p50:.1}, p99 {p99:.1}, worst {worst:.1} ms"
+    );
+}
+
+/// The tick's latencies in the summary of a run with so many clients.
+async fn run(clients: Option<usize>) -> Value {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("firmware-host"));
+    command
+        .args(["explore", "--scene", "builtin:apartment?seed=1", "--frames", TICKS, "--real-time"])
+        .args(["--out", "run"])
+        .stdout(std::process::Stdio::null())
+        .current_dir(folder.path());
+    let mut view = None;
+    if let Some(clients) = clients {
+        let socket = folder.path().join("live.sock");
+        let url = serve(&socket).await;
+        command.arg("--live").arg(&socket);
+        view = Some(tokio::spawn(async move {
+            let readers = (0..clients).map(|_| async {
+                let (mut socket, _) = connect(&url).await;
+                let mut bytes = 0;
+                while let Ok(Some(Ok(message))) =
+                    tokio::time::timeout(Duration::from_secs(20), socket.next()).await
+                {
+                    bytes += message.len();
+                }
+                bytes
+            });
+            futures_util::future::join_all(readers).await.into_iter().sum::<usize>()
+        }));
+    }
+    let mut child = command.spawn().unwrap();
+    let status = tokio::task::spawn_blocking(move || child.wait().unwrap()).await.unwrap();
+    assert!(status.success());
+    if let Some(view) = view {
+        view.abort();
+    }
+    let summary = std::fs::read_to_string(folder.path().join("run/summary.json")).unwrap();
+    let summary: Value = serde_json::from_str(&summary).unwrap();
+    summary["latency_ms"].clone()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "prints figures for the documentation"]
+async fn cost_of_the_view_in_the_loop() {
+    for pair in 0..PAIRS {
+        let without = run(None).await;
+        let with = run(Some(3)).await;
+        let total = |of: &Value| {
+            format!(
+                "p50 {:.1} p99 {:.1}",
+                of["total"]["p50"].as_f64().unwrap(),
+                of["total"]["p99"].as_f64().unwrap()
+            )
+        };
+        println!(
+            "pair {pair}: tick without {}, with 3 clients {} ms; copying {} ms",
+            total(&without),
+            total(&with),
+            with["live"]
+        );
+    }
+}
