@@ -222,3 +222,18 @@ fn set_echo(on: bool) {
     // If stty fails, the password is echoed but accepted nevertheless.
     let _ = Command::new("stty").arg(if on { "echo" } else { "-echo" }).status();
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn completions_and_the_man_page_are_commands_and_the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+        let cli = Cli::parse_from(["push-model", "completions", "bash"]);
+        assert!(matches!(cli.command, Some(Task::Completions { shell: Shell::Bash })));
+        assert!(matches!(Cli::parse_from(["push-model", "man"]).command, Some(Task::Man)));
+        let page = man_page().unwrap_or_default();
+        assert!(String::from_utf8_lossy(&page).contains("keygen"));
+    }
+}
