@@ -130,7 +130,10 @@ mod tests {
     fn the_scale_follows_the_truth_and_a_single_wall_still_has_one() {
         let ramp = (0..64).map(|index| 1.0 + index as f32 * 0.1).collect();
         let scale = DepthScale::of([row(Some(ramp), Some(20.0))].iter());
-        assert!(scale.near_m == NEAR_M && (scale.far_m - 7.3).abs() < 0.2, "{scale:?}");
+        assert!(
+            (scale.near_m - NEAR_M).abs() < 1e-6 && (scale.far_m - 7.3).abs() < 0.2,
+            "{scale:?}"
+        );
         let scale = DepthScale::of([row(None, Some(2.0))].iter());
         assert!(scale.share(2.0).is_finite() && scale.far_m > scale.near_m);
         assert!(DepthScale::of([row(None, None)].iter()).share(1.0).is_finite());
