@@ -30,7 +30,9 @@ pub fn resolve(requested: UpAxis, is_gltf: bool, triangles: &[Triangle]) -> UpAx
     let y = largest_level_area(triangles, 1);
     let z = largest_level_area(triangles, 2);
     if requested != UpAxis::Auto {
-        warn_if_doubtful(requested, y, z);
+        if let Some(doubt) = doubt(requested, y, z) {
+            tracing::warn!("{doubt}");
+        }
         return requested;
     }
     let needed = if is_gltf { Z_UP_RATIO * y } else { y };
@@ -45,17 +47,17 @@ pub fn resolve(requested: UpAxis, is_gltf: bool, triangles: &[Triangle]) -> UpAx
     UpAxis::Z
 }
 
-/// The robot would drive on a wall if the requested axis is wrong.
-fn warn_if_doubtful(requested: UpAxis, y: f64, z: f64) {
+/// Why the requested axis is probably wrong, from the largest level surfaces along y and z. The robot would drive on a wall.
+fn doubt(requested: UpAxis, y: f64, z: f64) -> Option<String> {
     let (axis, own, other_axis, other) =
         if requested == UpAxis::Z { ("z", z, "y", y) } else { ("y", y, "z", z) };
-    if other > DOUBTED_RATIO * own {
-        tracing::warn!(
+    (other > DOUBTED_RATIO * own).then(|| {
+        format!(
             "{axis} was requested as the up axis, but the largest level surface is {:.1} times as large along {other_axis}: if \
              the robot drives on a wall, request {other_axis} or no axis",
             other / own.max(f64::MIN_POSITIVE)
-        );
-    }
+        )
+    })
 }
 
 /// Converts the file's axes to z up and its units to metres.
@@ -99,4 +101,18 @@ pub(crate) fn doubled_area_vector(triangle: &Triangle) -> [f64; 3] {
     let u: [f64; 3] = std::array::from_fn(|i| b[i] - a[i]);
     let v: [f64; 3] = std::array::from_fn(|i| c[i] - a[i]);
     [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_requested_axis_is_doubted_when_the_floor_lies_along_the_other_one() {
+        assert_eq!(doubt(UpAxis::Z, 20.0, 80.0), None);
+        assert_eq!(doubt(UpAxis::Y, 60.0, 80.0), None, "walls and floor of one size");
+        let said = doubt(UpAxis::Z, 80.0, 25.0).unwrap();
+        assert!(said.contains("3.2 times as large along y"), "{said}");
+        assert!(doubt(UpAxis::Y, 25.0, 80.0).unwrap().contains("request z"));
+    }
 }
