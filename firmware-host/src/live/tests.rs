@@ -56,7 +56,7 @@ impl Visitor {
 
     /// The next frame that is no channel; `None` at the end of the connection.
     fn next(&mut self) -> Option<Frame> {
-        let mut piece = [0; 65536];
+        let mut piece = [0; 16384];
         loop {
             match self.reader.next_frame().unwrap() {
                 Some(Frame::Channels(_)) => {}

@@ -150,7 +150,7 @@ impl Visitor {
     }
 
     fn frame(&mut self) -> Frame {
-        let mut piece = [0; 65536];
+        let mut piece = [0; 16384];
         loop {
             if let Some(frame) = self.reader.next_frame().unwrap() {
                 return frame;
