@@ -97,9 +97,11 @@ export class MapView {
 
   paintScale(context) {
     const metres = [0.5, 1, 2, 5, 10, 20].find((metres) => metres * this.scale > 60) ?? 50;
-    const right = this.width - 12;
-    const left = right - metres * this.scale;
-    const y = this.height - 58;
+    const left = 16;
+    const right = left + metres * this.scale;
+    const y = 34;
+    context.fillStyle = "#fffffff0";
+    context.fillRect(left - 8, y - 24, right - left + 16, 32);
     context.strokeStyle = context.fillStyle = COLORS.ink;
     context.lineWidth = 2;
     context.beginPath();

@@ -8,7 +8,7 @@ use live_link::{Answer, LineError, Order, OrderLine};
 use runtime::operator::OperatorOrder;
 use runtime::task::Task;
 
-use super::rate::Bucket;
+use super::rate::{Bucket, pause};
 use crate::control_panel::{ControlPanel, Plane};
 
 /// Orders a second, and in a burst. A person gives fewer.
@@ -120,7 +120,7 @@ impl Desk {
             if is_so(self.panel.plane()) {
                 return Ok("the safety plane has stopped the robot".to_owned());
             }
-            std::thread::sleep(LOOK_EVERY);
+            pause(LOOK_EVERY);
         }
         Ok("the safety plane has the order and has not confirmed it yet".to_owned())
     }

@@ -19,6 +19,8 @@ pub struct Hub {
     clients: Mutex<Vec<Arc<Client>>>,
     /// The topics that some client wants, one bit each. The exploration loop reads only this.
     wanted: AtomicU32,
+    /// The topics that some client wants since a moment ago: it should not wait for the topic's next turn.
+    fresh: AtomicU32,
 }
 
 /// One client.
@@ -68,8 +70,9 @@ impl Hub {
             .iter()
             .filter(|topic| channels.contains(&topic.id()))
             .fold(0, |bits, topic| bits | topic.bit());
-        client.wants.store(wants, Ordering::Release);
+        let before = client.wants.swap(wants, Ordering::AcqRel);
         self.count(&self.clients());
+        self.fresh.fetch_or(wants & !before, Ordering::AcqRel);
     }
 
     fn count(&self, clients: &[Arc<Client>]) {
@@ -86,6 +89,11 @@ impl Hub {
     /// Whether some client wants messages of this topic.
     pub fn wants(&self, topic: Topic) -> bool {
         self.wanted.load(Ordering::Acquire) & topic.bit() != 0
+    }
+
+    /// Whether a client has subscribed this topic since the last call.
+    pub fn is_fresh(&self, topic: Topic) -> bool {
+        self.fresh.fetch_and(!topic.bit(), Ordering::AcqRel) & topic.bit() != 0
     }
 
     /// Passes a frame on to the clients that want it and keep up.
@@ -149,6 +157,7 @@ mod tests {
         assert!(!hub.has_subscriptions());
         hub.subscribe(&client, &[Topic::Map.id(), 999]);
         assert!(hub.wants(Topic::Map) && !hub.wants(Topic::Scan));
+        assert!(hub.is_fresh(Topic::Map) && !hub.is_fresh(Topic::Map));
         hub.send(Topic::Scan, &frame(3));
         hub.send(Topic::Map, &frame(5));
         assert_eq!(outgoing.next().unwrap().len(), 5);

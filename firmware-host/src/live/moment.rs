@@ -90,7 +90,7 @@ impl Copies {
             let corners_m = if is_driving { robot.explorer().path_m() } else { &[] };
             moment.path_m = Some(corners_m.to_vec());
         }
-        if self.hub.wants(Topic::Map) && self.map.is_due(at) {
+        if self.hub.wants(Topic::Map) && (self.hub.is_fresh(Topic::Map) || self.map.is_due(at)) {
             moment.map = map_view(robot.map());
         }
         if let Some(view) = input.frame.filter(|_| self.hub.wants(Topic::Camera))

@@ -2,6 +2,9 @@
 
 use std::time::{Duration, Instant};
 
+use hal::Clock;
+use monotonic_clock::MonotonicClock;
+
 /// Lets something happen at most so often.
 #[derive(Debug, Clone)]
 pub struct Pulse {
@@ -26,6 +29,12 @@ impl Pulse {
         self.due = Some(if is_late { now } else { due } + self.period);
         true
     }
+}
+
+/// Waits.
+pub fn pause(duration: Duration) {
+    let mut clock = MonotonicClock;
+    clock.sleep_until_ns(clock.now_ns() + duration.as_nanos() as u64);
 }
 
 /// Allows a burst, and then a rate.

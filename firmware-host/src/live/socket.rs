@@ -17,6 +17,7 @@ use live_link::{Frame, Line, LineReader};
 use super::channels::Topic;
 use super::desk::Desk;
 use super::hub::{Client, Hub, Outgoing};
+use super::rate::pause;
 
 /// A client that takes nothing for this long is cut off.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(2);
@@ -121,7 +122,7 @@ impl Accepting {
             let welcomed = stream.map_err(anyhow::Error::from).and_then(|it| self.welcome(it));
             if let Err(error) = welcomed {
                 tracing::debug!("a client of the live view was not accepted: {error:#}");
-                std::thread::sleep(PAUSE);
+                pause(PAUSE);
             }
         }
     }

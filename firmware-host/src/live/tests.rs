@@ -14,6 +14,7 @@ use runtime::safety::SafetyState;
 use super::channels::Topic;
 use super::desk::Desk;
 use super::hub::{Hub, MOST_CLIENTS};
+use super::rate::pause;
 use super::socket::Server;
 use crate::control_panel::{ControlPanel, PanelReader};
 
@@ -55,7 +56,7 @@ impl Visitor {
 
     /// The next frame that is no channel; `None` at the end of the connection.
     fn next(&mut self) -> Option<Frame> {
-        let mut piece = [0; 65536];
+        let mut piece = [0; 16384];
         loop {
             match self.reader.next_frame().unwrap() {
                 Some(Frame::Channels(_)) => {}
@@ -73,7 +74,7 @@ fn wait_for(what: impl Fn() -> bool) {
     let began = Instant::now();
     while !what() {
         assert!(began.elapsed() < Duration::from_secs(20), "it never happened");
-        std::thread::sleep(Duration::from_millis(2));
+        pause(Duration::from_millis(2));
     }
 }
 

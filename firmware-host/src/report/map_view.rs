@@ -9,16 +9,17 @@ use runtime::recording::MapView;
 pub fn map_view(map: &OccupancyGrid) -> Option<MapView> {
     let known: CellBox = map.known_box()?;
     let columns = known.width();
-    let rows = known.height();
     let corner = map.center_m(known.min);
-    let occupancy = (0..rows as i32)
-        .flat_map(|dy| (0..columns as i32).map(move |dx| (dx, dy)))
-        .map(|(dx, dy)| match map.state(known.min.offset(dx, dy)) {
-            CellState::Unknown => -1,
-            CellState::Free => 0,
-            CellState::Occupied => 100,
-        })
-        .collect();
+    let occupancy = map.known_states().into_iter().map(|state| match state {
+        CellState::Unknown => -1,
+        CellState::Free => 0,
+        CellState::Occupied => 100,
+    });
     let cell_m = map.cell_m();
-    Some(MapView { origin_m: corner.map(|c| c - cell_m / 2.0), cell_m, columns, occupancy })
+    Some(MapView {
+        origin_m: corner.map(|c| c - cell_m / 2.0),
+        cell_m,
+        columns,
+        occupancy: occupancy.collect(),
+    })
 }

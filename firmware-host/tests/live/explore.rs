@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use hal::Clock;
 use live_link::{Answer, Frame, FrameReader, Line, Order, OrderLine};
+use monotonic_clock::MonotonicClock;
 use runtime::operator::Role;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -55,7 +57,8 @@ impl Explore {
         let began = Instant::now();
         while !done(self) {
             assert!(began.elapsed() < PATIENCE, "{what} did not happen");
-            std::thread::sleep(Duration::from_millis(20));
+            let mut clock = MonotonicClock;
+            clock.sleep_until_ns(clock.now_ns() + 20_000_000);
         }
     }
 
@@ -147,7 +150,7 @@ impl Visitor {
     }
 
     fn frame(&mut self) -> Frame {
-        let mut piece = [0; 65536];
+        let mut piece = [0; 16384];
         loop {
             if let Some(frame) = self.reader.next_frame().unwrap() {
                 return frame;

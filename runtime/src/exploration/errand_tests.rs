@@ -152,6 +152,17 @@ fn a_new_task_takes_the_place_of_the_one_before() {
 }
 
 #[test]
+fn a_pause_stands_at_once_and_the_robot_explores_when_it_may_again() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.steps(20);
+    let here = drive.pose;
+    drive.begin(Task::Pause);
+    assert!(drive.stands() && drive.explorer.stands() && drive.pose == here);
+    drive.begin(Task::Explore);
+    assert!(!drive.stands() && !drive.explorer.stands());
+}
+
+#[test]
 fn places_move_with_the_map() {
     let mut drive = Drive::new(ExplorationConfig::default());
     drive.steps(5);

@@ -449,6 +449,18 @@ impl OccupancyGrid {
         free.count() as f64 * self.config.cell_m * self.config.cell_m
     }
 
+    /// The states of all cells of the [known box](Self::known_box), row by row: for viewers, which want all of them at once.
+    #[must_use]
+    pub fn known_states(&self) -> Vec<CellState> {
+        let Some(known) = self.known else { return Vec::new() };
+        let mut states = Vec::with_capacity(known.width() * known.height());
+        for y in known.min.y..=known.max.y {
+            let (left, right) = self.row(y, known.min.x, known.width());
+            states.extend(left.iter().chain(right).map(|stored| CellState::of(*stored)));
+        }
+        states
+    }
+
     /// Every known cell with its log-odds, row by row.
     pub fn known_cells(&self) -> impl Iterator<Item = (Cell, f32)> + '_ {
         let rows = self

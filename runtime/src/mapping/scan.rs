@@ -191,6 +191,21 @@ mod tests {
     }
 
     #[test]
+    fn the_states_of_all_cells_at_once_are_those_of_each_cell() {
+        let mut grid = grid(LidarUse::HitsAndFree);
+        // The window has moved, so that its rows wrap around.
+        for x_m in [0.0, 1.7, 3.1] {
+            update(&mut grid, &scan(|_| Range::Hit(1.2)), &Pose2::new(x_m, -0.3, 1.0));
+        }
+        let known = grid.known_box().unwrap();
+        let rows = known.min.y..=known.max.y;
+        let cells = rows.flat_map(|y| (known.min.x..=known.max.x).map(move |x| Cell::new(x, y)));
+        let one_by_one: Vec<CellState> = cells.map(|cell| grid.state(cell)).collect();
+        assert_eq!(grid.known_states(), one_by_one);
+        assert!(one_by_one.contains(&CellState::Occupied));
+    }
+
+    #[test]
     fn no_return_too_near_and_errors_clear_nothing() {
         for range in [Range::NoReturn, Range::TooNear, Range::Error, Range::Hit(f32::NAN)] {
             let mut grid = grid(LidarUse::HitsAndFree);
