@@ -35,6 +35,7 @@ opt-level = 3
 /// The crate's `lib.rs`. `event.rs` uses types of perception and localization, which are replaced here.
 const LIBRARY: &str = "
 pub mod event;
+pub mod operator;
 pub mod safety;
 pub mod snapshot;
 pub mod perception {
@@ -59,7 +60,7 @@ pub fn make(name: &str) -> Result<PathBuf> {
     fs::write(to.join("Cargo.toml"), MANIFEST.replace("HAL", &hal.to_string_lossy()))?;
     fs::write(to.join("src/lib.rs"), LIBRARY)?;
     fs::copy(paths::root().join("Cargo.lock"), to.join("Cargo.lock"))?;
-    for file in ["event.rs", "snapshot.rs"] {
+    for file in ["event.rs", "operator.rs", "snapshot.rs"] {
         fs::copy(source.join(file), to.join("src").join(file))?;
     }
     copy_safety(&source.join("safety"), &to.join("src/safety"))?;
@@ -91,7 +92,10 @@ mod tests {
     #[test]
     fn the_crate_has_every_module_and_dependency_that_the_safety_plane_uses() {
         let source = paths::root().join("runtime/src");
-        let mut files = vec![source.join("event.rs"), source.join("snapshot.rs")];
+        let mut files: Vec<_> = ["event.rs", "operator.rs", "snapshot.rs"]
+            .iter()
+            .map(|file| source.join(file))
+            .collect();
         for entry in fs::read_dir(source.join("safety")).unwrap() {
             files.push(entry.unwrap().path());
         }
