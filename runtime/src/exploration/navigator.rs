@@ -118,12 +118,7 @@ impl Navigator {
         let current_cost_m = self.costmap.path_cost_m(current_m);
         let best_cost_m = self.costmap.path_cost_m(best_m);
         match (current_cost_m, best_cost_m) {
-            (Some(current), Some(best)) => {
-                same_end
-                    && current
-                        <= best
-                            * std::env::var("KEEP").map_or(KEEP_PATH_FACTOR, |t| t.parse().unwrap())
-            }
+            (Some(current), Some(best)) => same_end && current <= best * KEEP_PATH_FACTOR,
             _ => false,
         }
     }
