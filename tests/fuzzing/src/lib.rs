@@ -46,7 +46,7 @@ pub use viewer::viewer;
 pub type Check = fn(&[u8]);
 
 /// All checks, by the name of their target and corpus.
-pub const TARGETS: [(&str, Check); 13] = [
+pub const TARGETS: [(&str, Check); 14] = [
     ("buffer_wire", buffer_wire),
     ("bundle", bundle),
     ("can", can),

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use firmware_host::report::depth_sample::{SheetRow, SheetSampler};
+use firmware_host::report::depth_scale::DepthScale;
 use firmware_host::report::depth_sheet::{DEPTH_FILE, DepthSheet};
 use hal::ImageView;
 use runtime::accuracy::{Accuracy, ConstantBaseline, Metrics};
@@ -166,7 +167,9 @@ pub fn measure(
     if let Some(folder) = sheet {
         let folder = folder.join(sequence.name.replace(|c: char| !c.is_alphanumeric(), "_"));
         std::fs::create_dir_all(&folder)?;
-        DepthSheet { title: &name, rows: &sampler.into_rows() }.write(&folder)?;
+        let rows = sampler.into_rows();
+        let scale = DepthScale::of(rows.iter());
+        DepthSheet { title: &name, rows: &rows, scale }.write(&folder)?;
         anyhow::ensure!(
             folder.join(DEPTH_FILE).exists() || accuracy.rows().all.is_none(),
             "the depth sheet of {name} was not written"
