@@ -25,7 +25,7 @@ impl std::error::Error for Refused {}
 
 /// A client that may connect.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Guest {
+pub struct Identity {
     /// The name of its token, if it has one.
     pub name: Option<String>,
     /// What it may do.
@@ -35,7 +35,7 @@ pub struct Guest {
 /// The tokens of a file.
 #[derive(Debug, Default)]
 pub struct Tokens {
-    tokens: Vec<(blake3::Hash, Guest)>,
+    tokens: Vec<(blake3::Hash, Identity)>,
 }
 
 impl Tokens {
@@ -85,8 +85,8 @@ impl Tokens {
                     "the token is shorter than 16 characters; `openssl rand -hex 16` makes one",
                 ));
             }
-            let guest = Guest { name: Some(name.to_owned()), role };
-            tokens.push((blake3::hash(token.as_bytes()), guest));
+            let identity = Identity { name: Some(name.to_owned()), role };
+            tokens.push((blake3::hash(token.as_bytes()), identity));
         }
         if tokens.is_empty() {
             return Err("there is no token: a line is NAME watch|steer TOKEN".to_owned());
@@ -95,12 +95,12 @@ impl Tokens {
     }
 
     /// The client of a token. It takes the same time whichever token it is.
-    fn find(&self, token: &str) -> Option<&Guest> {
+    fn find(&self, token: &str) -> Option<&Identity> {
         let given = blake3::hash(token.as_bytes());
         let mut found = None;
-        for (hash, guest) in &self.tokens {
+        for (hash, identity) in &self.tokens {
             if *hash == given {
-                found = Some(guest);
+                found = Some(identity);
             }
         }
         found
@@ -116,7 +116,7 @@ pub struct Access {
 
 /// What a client says of itself before it is connected.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Introduction<'a> {
+pub struct Handshake<'a> {
     pub token: Option<&'a str>,
     /// The page that connects, where a browser does.
     pub origin: Option<&'a str>,
@@ -149,11 +149,11 @@ impl Access {
         self.tokens.is_some()
     }
 
-    /// Admits a client.
+    /// Says who a client is and what it may do.
     ///
     /// # Errors
-    /// Why it is not admitted.
-    pub fn admit(&self, client: Introduction<'_>) -> Result<Guest, &'static str> {
+    /// Why it may not connect.
+    pub fn authorize(&self, client: Handshake<'_>) -> Result<Identity, &'static str> {
         // A token is not sent by a browser on its own, so the page that sends it was given it.
         if let Some(tokens) = &self.tokens {
             let found = client.token.and_then(|token| tokens.find(token));
@@ -171,7 +171,7 @@ impl Access {
         if !is_own {
             return Err("pages of this origin may not connect; see --allow-origin");
         }
-        Ok(Guest { name: None, role: Role::Steer })
+        Ok(Identity { name: None, role: Role::Steer })
     }
 }
 
@@ -194,8 +194,8 @@ mod tests {
     const TOKENS: &str =
         "# tokens\n\nanna steer aaaaaaaaaaaaaaaa1\nscreen watch bbbbbbbbbbbbbbbb2\n";
 
-    fn of_host(host: &str) -> Introduction<'_> {
-        Introduction { host: Some(host), ..Introduction::default() }
+    fn of_host(host: &str) -> Handshake<'_> {
+        Handshake { host: Some(host), ..Handshake::default() }
     }
 
     #[test]
@@ -213,21 +213,21 @@ mod tests {
     #[test]
     fn a_token_gives_its_role_and_nothing_else_does() {
         let access = Access::new(LOCAL, Some(Tokens::parse(TOKENS).unwrap()), Vec::new()).unwrap();
-        let with = |token| access.admit(Introduction { token, ..of_host("robot.local:8765") });
-        let anna = Guest { name: Some("anna".to_owned()), role: Role::Steer };
+        let with = |token| access.authorize(Handshake { token, ..of_host("robot.local:8765") });
+        let anna = Identity { name: Some("anna".to_owned()), role: Role::Steer };
         assert_eq!(with(Some("aaaaaaaaaaaaaaaa1")), Ok(anna));
         assert_eq!(with(Some("bbbbbbbbbbbbbbbb2")).unwrap().role, Role::Watch);
         for wrong in [None, Some(""), Some("aaaaaaaaaaaaaaaa"), Some("anna")] {
             assert!(with(wrong).is_err());
         }
-        assert!(access.admit(of_host("127.0.0.1:8765")).is_err());
+        assert!(access.authorize(of_host("127.0.0.1:8765")).is_err());
     }
 
     #[test]
     fn a_page_of_the_internet_steers_nothing_on_this_computer() {
         let access = Access::new(LOCAL, None, vec!["https://app.foxglove.dev".to_owned()]).unwrap();
         let from = |origin, host| {
-            access.admit(Introduction { origin: Some(origin), ..of_host(host) }).is_ok()
+            access.authorize(Handshake { origin: Some(origin), ..of_host(host) }).is_ok()
         };
         assert!(from("http://127.0.0.1:8765", "127.0.0.1:8765"));
         assert!(from("http://localhost:8765", "localhost:8765"));
@@ -238,8 +238,8 @@ mod tests {
         // Its own name, which its name server lets point to this computer.
         assert!(!from("http://evil.example:8765", "evil.example:8765"));
         assert!(!from("http://127.0.0.1.evil.example", "127.0.0.1.evil.example"));
-        assert!(access.admit(of_host("[::1]:8765")).is_ok());
-        assert!(access.admit(Introduction::default()).is_err());
+        assert!(access.authorize(of_host("[::1]:8765")).is_ok());
+        assert!(access.authorize(Handshake::default()).is_err());
     }
 
     #[test]

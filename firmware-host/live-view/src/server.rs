@@ -17,7 +17,7 @@ use axum::routing::get;
 use serde::Deserialize;
 use tokio::net::TcpListener;
 
-use crate::access::{Access, Introduction};
+use crate::access::{Access, Handshake};
 use crate::page;
 use crate::protocol::SUBPROTOCOLS;
 use crate::robot::Robot;
@@ -29,13 +29,13 @@ const MOST_BYTES: usize = 64 << 10;
 const MOST_CLIENTS: usize = 32;
 
 #[derive(Clone)]
-struct Hall {
+struct ServerState {
     robot: Robot,
     access: Arc<Access>,
 }
 
 #[derive(Deserialize)]
-struct Entry {
+struct TokenQuery {
     token: Option<String>,
 }
 
@@ -44,21 +44,21 @@ struct Entry {
 /// # Errors
 /// When the system takes the listener away.
 pub async fn serve(listener: TcpListener, robot: Robot, access: Access) -> Result<()> {
-    let hall = Hall { robot, access: Arc::new(access) };
+    let state = ServerState { robot, access: Arc::new(access) };
     let routes = Router::new()
         .route("/", get(enter))
         .route("/{file}", get(page::file))
-        .layer(from_fn_with_state(hall.clone(), guard))
-        .with_state(hall);
+        .layer(from_fn_with_state(state.clone(), guard))
+        .with_state(state);
     let service = routes.into_make_service_with_connect_info::<SocketAddr>();
     axum::serve(listener, service).await.context("the server has ended")
 }
 
 /// Without tokens, a name that is not this computer's gets nothing at all.
-async fn guard(State(hall): State<Hall>, request: Request<Body>, next: Next) -> Response {
+async fn guard(State(state): State<ServerState>, request: Request<Body>, next: Next) -> Response {
     let host = text(request.headers(), &HOST);
-    if !hall.access.needs_token()
-        && hall.access.admit(Introduction { host, ..Introduction::default() }).is_err()
+    if !state.access.needs_token()
+        && state.access.authorize(Handshake { host, ..Handshake::default() }).is_err()
     {
         return (StatusCode::FORBIDDEN, "the address must be 127.0.0.1 or localhost\n")
             .into_response();
@@ -68,23 +68,23 @@ async fn guard(State(hall): State<Hall>, request: Request<Body>, next: Next) -> 
 
 /// The page, or the WebSocket if the client asks for it. Foxglove connects to the root.
 async fn enter(
-    State(hall): State<Hall>,
+    State(state): State<ServerState>,
     ConnectInfo(address): ConnectInfo<SocketAddr>,
-    Query(entry): Query<Entry>,
+    Query(query): Query<TokenQuery>,
     headers: HeaderMap,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Response {
     let Ok(upgrade) = upgrade else { return page::index() };
-    let client = Introduction {
-        token: entry.token.as_deref(),
+    let client = Handshake {
+        token: query.token.as_deref(),
         origin: text(&headers, &ORIGIN),
         host: text(&headers, &HOST),
     };
-    let guest = match hall.access.admit(client) {
-        Ok(guest) => guest,
+    let identity = match state.access.authorize(client) {
+        Ok(identity) => identity,
         Err(why) => {
-            tracing::warn!("{address} was not admitted: {why}");
-            let code = if hall.access.needs_token() {
+            tracing::warn!("{address} was refused: {why}");
+            let code = if state.access.needs_token() {
                 StatusCode::UNAUTHORIZED
             } else {
                 StatusCode::FORBIDDEN
@@ -92,7 +92,7 @@ async fn enter(
             return (code, format!("{why}\n")).into_response();
         }
     };
-    if hall.robot.listeners() >= MOST_CLIENTS {
+    if state.robot.listeners() >= MOST_CLIENTS {
         return (StatusCode::SERVICE_UNAVAILABLE, "there are too many clients\n").into_response();
     }
     let upgrade =
@@ -101,7 +101,8 @@ async fn enter(
         let why = format!("the subprotocol {} is spoken here\n", SUBPROTOCOLS[0]);
         return (StatusCode::BAD_REQUEST, why).into_response();
     }
-    upgrade.on_upgrade(move |socket| Session::run(socket, hall.robot, guest, address.to_string()))
+    upgrade
+        .on_upgrade(move |socket| Session::run(socket, state.robot, identity, address.to_string()))
 }
 
 fn text<'a>(headers: &'a HeaderMap, name: &axum::http::HeaderName) -> Option<&'a str> {

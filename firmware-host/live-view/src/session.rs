@@ -11,7 +11,7 @@ use live_link::{Channel, Order};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use crate::access::Guest;
+use crate::access::Identity;
 use crate::protocol::{self, Call, ClientChannel, Request, Subscription};
 use crate::publish;
 use crate::robot::{Link, Listener, Robot};
@@ -29,7 +29,7 @@ const MOST_SUBSCRIPTIONS: usize = 256;
 /// A client.
 pub struct Session {
     robot: Robot,
-    guest: Guest,
+    identity: Identity,
     /// Address and name, for the recording.
     who: String,
     listener: Arc<Listener>,
@@ -40,8 +40,8 @@ pub struct Session {
 
 impl Session {
     /// Serves a client until it leaves.
-    pub async fn run(socket: WebSocket, robot: Robot, guest: Guest, address: String) {
-        let who = match &guest.name {
+    pub async fn run(socket: WebSocket, robot: Robot, identity: Identity, address: String) {
+        let who = match &identity.name {
             Some(name) => format!("{name} at {address}"),
             None => address,
         };
@@ -53,12 +53,12 @@ impl Session {
             link: robot.link(),
             listener: Arc::clone(&listener),
             channels: Arc::default(),
-            guest: guest.clone(),
+            identity: identity.clone(),
         };
         let writer: JoinHandle<()> = tokio::spawn(outgoing.run(messages, answers_to_send));
         let allowance = Allowance::default();
         let mut session =
-            Self { robot, guest, who, listener, answers, published: Vec::new(), allowance };
+            Self { robot, identity, who, listener, answers, published: Vec::new(), allowance };
         while let Some(Ok(message)) = stream.next().await {
             if writer.is_finished() || matches!(message, Message::Close(_)) {
                 break;
@@ -125,7 +125,7 @@ impl Session {
             Err(why) => return self.say(protocol::warning(&format!("{topic}: {why}"))).await,
         };
         let order = Order::GoTo { x_m, y_m };
-        let answer = self.robot.order(&self.who, self.guest.role, order).await;
+        let answer = self.robot.order(&self.who, self.identity.role, order).await;
         match answer {
             Ok(answer) if answer.accepted => Ok(()),
             Ok(answer) => self.say(protocol::warning(&answer.text)).await,
@@ -140,7 +140,7 @@ impl Session {
             Err(why) => return self.say(protocol::service_failure(&call, &why)).await,
         };
         let (robot, who) = (self.robot.clone(), self.who.clone());
-        let (role, answers) = (self.guest.role, self.answers.clone());
+        let (role, answers) = (self.identity.role, self.answers.clone());
         tokio::spawn(async move {
             let message = match robot.order(&who, role, order).await {
                 Ok(answer) => Message::Binary(
@@ -174,7 +174,7 @@ struct Outgoing {
     listener: Arc<Listener>,
     /// The channels that the client knows.
     channels: Arc<Vec<Channel>>,
-    guest: Guest,
+    identity: Identity,
 }
 
 impl Outgoing {
@@ -192,8 +192,8 @@ impl Outgoing {
         mut answers: mpsc::Receiver<Message>,
     ) -> Result<()> {
         let session = format!("{}", std::process::id());
-        self.text(protocol::server_info(self.guest.role, &session)).await?;
-        self.text(protocol::advertise_services(self.guest.role)).await?;
+        self.text(protocol::server_info(self.identity.role, &session)).await?;
+        self.text(protocol::advertise_services(self.identity.role)).await?;
         self.show_link().await?;
         loop {
             tokio::select! {

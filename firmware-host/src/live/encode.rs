@@ -1,4 +1,4 @@
-//! The thread that turns moments into messages.
+//! The thread that turns copies of ticks into messages.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use super::Mounts;
 use super::channels::Topic;
 use super::depth_color;
 use super::hub::Hub;
-use super::moment::Moment;
+use super::tick_copy::TickCopy;
 use crate::config::LiveSection;
 use crate::run::status::{Status, unix_s};
 
@@ -29,7 +29,7 @@ const NICENESS: i32 = 10;
 /// What the exploration loop puts into the queue.
 #[derive(Debug)]
 pub enum Item {
-    Tick(Box<Moment>),
+    Tick(Box<TickCopy>),
     Health(Box<Status>),
 }
 
@@ -77,50 +77,50 @@ impl Encoder {
 
     fn item(&mut self, item: &Item) {
         match item {
-            Item::Tick(moment) => self.moment(moment),
+            Item::Tick(copy) => self.copy(copy),
             Item::Health(status) => self.health(status),
         }
     }
 
-    fn moment(&mut self, moment: &Moment) {
-        let time_ns = moment.time_ns;
+    fn copy(&mut self, copy: &TickCopy) {
+        let time_ns = copy.time_ns;
         self.time_ns = time_ns;
-        self.json(Topic::Now, &moment.now);
+        self.json(Topic::Now, &copy.now);
         let Mounts { camera, t_base_camera, t_base_laser } = self.mounts.clone();
         if self.hub.wants(Topic::Tf) {
             self.put(
                 Topic::Tf,
                 &messages::transforms(
-                    &moment.t_map_odom,
-                    &moment.t_odom_base,
+                    &copy.t_map_odom,
+                    &copy.t_odom_base,
                     &t_base_camera,
                     &t_base_laser,
                     time_ns,
                 ),
             );
         }
-        let t_map_base = moment.t_map_odom.compose(&moment.t_odom_base);
+        let t_map_base = copy.t_map_odom.compose(&copy.t_odom_base);
         self.put_some(Topic::Pose, messages::pose_in("map", &t_map_base, time_ns).as_ref());
-        let goal = moment.goal_m.map(|[x_m, y_m]| Pose2 { x_m, y_m, yaw_rad: 0.0 });
+        let goal = copy.goal_m.map(|[x_m, y_m]| Pose2 { x_m, y_m, yaw_rad: 0.0 });
         let goal = goal.and_then(|goal| messages::pose_in("map", &goal, time_ns));
         self.put_some(Topic::Goal, goal.as_ref());
-        if let Some(scan) = &moment.scan {
+        if let Some(scan) = &copy.scan {
             self.put(Topic::Scan, &messages::scan(scan, time_ns));
         }
-        if let Some(path_m) = &moment.path_m {
+        if let Some(path_m) = &copy.path_m {
             self.put(Topic::Path, &messages::path(path_m, time_ns));
         }
-        if let Some(Ok(grid)) = moment.map.as_ref().map(|map| messages::grid(map, time_ns)) {
+        if let Some(Ok(grid)) = copy.map.as_ref().map(|map| messages::grid(map, time_ns)) {
             self.put(Topic::Map, &grid);
         }
-        for event in &moment.events {
+        for event in &copy.events {
             self.put(Topic::Events, &messages::log(event, time_ns));
         }
-        if let Some(frame) = &moment.frame {
+        if let Some(frame) = &copy.frame {
             self.image(Topic::Camera, frame.width, frame.height, frame.rgb.clone());
             self.put(Topic::Calibration, &messages::calibration(&camera, time_ns));
         }
-        if let Some(depth) = &moment.depth {
+        if let Some(depth) = &copy.depth {
             self.image(Topic::Depth, depth.width(), depth.height(), depth_color::image(depth));
         }
     }
@@ -248,14 +248,14 @@ mod tests {
             columns: 3,
             occupancy: vec![0, -1, 100],
         };
-        let moment = Moment {
+        let copy = TickCopy {
             time_ns: 5_000_000_000,
             path_m: Some(vec![[0.0, 0.0], [1.0, 0.0]]),
             map: Some(map),
             depth: DepthMap::from_vec(4, 2, vec![1.0; 8]),
-            ..Moment::default()
+            ..TickCopy::default()
         };
-        encoder.item(&Item::Tick(Box::new(moment)));
+        encoder.item(&Item::Tick(Box::new(copy)));
         let read = messages_of(encoder, &outgoing);
         let topics: Vec<u16> = read.iter().map(|(channel, _)| *channel).collect();
         let expected = [Topic::Now, Topic::Tf, Topic::Pose, Topic::Path, Topic::Map, Topic::Depth]

@@ -7,14 +7,14 @@
 
 mod channels;
 mod depth_color;
-mod desk;
 mod encode;
 mod hub;
-mod moment;
+mod order_handler;
 mod rate;
 mod socket;
 #[cfg(test)]
 mod tests;
+mod tick_copy;
 mod words;
 
 use std::path::{Path, PathBuf};
@@ -35,11 +35,11 @@ use crate::failure;
 use crate::map::KeptMap;
 use crate::run::status::Status;
 use crate::setup::laser_mount;
-use desk::{Desk, LoopOrder};
 use encode::{Encoder, Item};
 use hub::Hub;
-use moment::Copies;
+use order_handler::{LoopOrder, OrderHandler};
 use socket::Server;
+use tick_copy::Copies;
 use words::Narrator;
 
 /// Ticks that wait for the thread that encodes them: the time that a large map takes.
@@ -90,8 +90,8 @@ impl Live {
         let (queue, items) = sync_channel(QUEUE);
         let (order_sender, orders) = sync_channel(ORDERS);
         let (note_sender, notes) = sync_channel(ORDERS);
-        let desk = Desk::new(panel.clone(), order_sender, note_sender, keeps_map);
-        let server = Server::start(path, Arc::clone(&hub), Arc::new(desk))?;
+        let handler = OrderHandler::new(panel.clone(), order_sender, note_sender, keeps_map);
+        let server = Server::start(path, Arc::clone(&hub), Arc::new(handler))?;
         let mounts = Mounts {
             camera: config.camera.model(),
             t_base_camera: config.camera.mount(),
@@ -141,8 +141,8 @@ impl Live {
             return;
         }
         let now = self.narrator.now(robot, input, decision, took, self.dropped);
-        let moment = self.copies.of(robot, input, decision, now);
-        if self.queue.try_send(Item::Tick(Box::new(moment))).is_err() {
+        let copy = self.copies.of(robot, input, decision, now);
+        if self.queue.try_send(Item::Tick(Box::new(copy))).is_err() {
             self.dropped += 1;
         }
     }

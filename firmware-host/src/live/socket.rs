@@ -15,8 +15,8 @@ use anyhow::{Context, Result, bail};
 use live_link::{Frame, Line, LineReader};
 
 use super::channels::Topic;
-use super::desk::Desk;
 use super::hub::{Client, Hub, Outgoing};
+use super::order_handler::OrderHandler;
 use super::rate::pause;
 
 /// A client that takes nothing for this long is cut off.
@@ -42,14 +42,14 @@ impl Server {
     ///
     /// # Errors
     /// A path that cannot be used, or that another program serves.
-    pub fn start(path: &Path, hub: Arc<Hub>, desk: Arc<Desk>) -> Result<Self> {
+    pub fn start(path: &Path, hub: Arc<Hub>, handler: Arc<OrderHandler>) -> Result<Self> {
         let listener = listen(path)?;
         let ends = Arc::new(AtomicBool::new(false));
         let streams = Streams::default();
         let accepting = Accepting {
             listener,
             hub,
-            desk,
+            handler,
             ends: Arc::clone(&ends),
             streams: Arc::clone(&streams),
         };
@@ -108,7 +108,7 @@ fn listen(path: &Path) -> Result<UnixListener> {
 struct Accepting {
     listener: UnixListener,
     hub: Arc<Hub>,
-    desk: Arc<Desk>,
+    handler: Arc<OrderHandler>,
     ends: Arc<AtomicBool>,
     streams: Streams,
 }
@@ -137,22 +137,23 @@ impl Accepting {
             streams.retain(|stream| stream.strong_count() > 0);
             streams.push(Arc::downgrade(&stream));
         }
-        let guest = Guest { client, hub: Arc::clone(&self.hub), desk: Arc::clone(&self.desk) };
+        let client_reader =
+            ClientReader { client, hub: Arc::clone(&self.hub), handler: Arc::clone(&self.handler) };
         let name = |what: &str| std::thread::Builder::new().name(format!("live-{what}"));
         name("write").spawn(move || write(&stream, &outgoing))?;
-        name("read").spawn(move || guest.read(reader))?;
+        name("read").spawn(move || client_reader.read(reader))?;
         Ok(())
     }
 }
 
 /// A client's reading side.
-struct Guest {
+struct ClientReader {
     client: Arc<Client>,
     hub: Arc<Hub>,
-    desk: Arc<Desk>,
+    handler: Arc<OrderHandler>,
 }
 
-impl Guest {
+impl ClientReader {
     fn read(self, mut stream: UnixStream) {
         let mut lines = LineReader::default();
         let mut piece = [0; PIECE];
@@ -182,15 +183,15 @@ impl Guest {
                 self.hub.subscribe(&self.client, &channels);
                 return true;
             }
-            Ok(Line::Order(order)) => self.desk.take(&order),
-            Err(error) => self.desk.refuse(&error),
+            Ok(Line::Order(order)) => self.handler.take(&order),
+            Err(error) => self.handler.refuse(&error),
         };
         let Ok(frame) = Frame::Answer(answer).to_bytes() else { return false };
         self.client.deliver(frame)
     }
 }
 
-impl Drop for Guest {
+impl Drop for ClientReader {
     fn drop(&mut self) {
         self.hub.leave(&self.client);
     }

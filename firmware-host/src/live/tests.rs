@@ -12,8 +12,8 @@ use runtime::operator::{OperatorOrder, Role};
 use runtime::safety::SafetyState;
 
 use super::channels::Topic;
-use super::desk::Desk;
 use super::hub::{Hub, MOST_CLIENTS};
+use super::order_handler::OrderHandler;
 use super::rate::pause;
 use super::socket::Server;
 use crate::control_panel::{ControlPanel, PanelReader};
@@ -32,19 +32,19 @@ fn serve() -> Served {
     let panel = ControlPanel::default();
     let safety = PanelReader::new(panel.clone());
     let (note_sender, notes) = sync_channel(100);
-    let desk = Desk::new(panel, sync_channel(9).0, note_sender, false);
+    let handler = OrderHandler::new(panel, sync_channel(9).0, note_sender, false);
     let server =
-        Server::start(&dir.path().join("live.sock"), Arc::clone(&hub), Arc::new(desk)).unwrap();
+        Server::start(&dir.path().join("live.sock"), Arc::clone(&hub), Arc::new(handler)).unwrap();
     Served { dir, hub, safety, notes, server }
 }
 
-struct Visitor {
+struct TestClient {
     stream: UnixStream,
     reader: FrameReader,
 }
 
-impl Visitor {
-    fn come(served: &Served) -> Self {
+impl TestClient {
+    fn connect(served: &Served) -> Self {
         let stream = UnixStream::connect(served.dir.path().join("live.sock")).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         Self { stream, reader: FrameReader::default() }
@@ -97,8 +97,9 @@ fn the_socket_is_its_owners_alone_and_goes_with_the_server() {
 fn a_socket_that_another_robot_serves_and_a_file_are_left_alone() {
     let served = serve();
     let start = |path: &std::path::Path| {
-        let desk = Desk::new(ControlPanel::default(), sync_channel(1).0, sync_channel(1).0, false);
-        Server::start(path, Arc::default(), Arc::new(desk)).err().unwrap().to_string()
+        let handler =
+            OrderHandler::new(ControlPanel::default(), sync_channel(1).0, sync_channel(1).0, false);
+        Server::start(path, Arc::default(), Arc::new(handler)).err().unwrap().to_string()
     };
     assert!(start(&served.dir.path().join("live.sock")).contains("another robot"));
     let file = served.dir.path().join("file");
@@ -110,9 +111,9 @@ fn a_socket_that_another_robot_serves_and_a_file_are_left_alone() {
 #[test]
 fn a_client_that_never_reads_is_cut_off_and_the_others_get_everything_in_time() {
     let served = serve();
-    let mut slow = Visitor::come(&served);
+    let mut slow = TestClient::connect(&served);
     slow.say(&Line::Subscribe(vec![Topic::Map.id()]));
-    let mut good = Visitor::come(&served);
+    let mut good = TestClient::connect(&served);
     good.say(&Line::Subscribe(vec![Topic::Scan.id()]));
     wait_for(|| served.hub.wants(Topic::Map) && served.hub.wants(Topic::Scan));
     let large: Arc<[u8]> = frame::message(Topic::Map.id(), 1, &vec![7; 1 << 20]).unwrap().into();
@@ -132,26 +133,26 @@ fn a_client_that_never_reads_is_cut_off_and_the_others_get_everything_in_time() 
 fn rubbish_is_noted_and_answered_and_the_next_order_counts() {
     let mut served = serve();
     served.safety.publish(SafetyState::Disarmed);
-    let mut visitor = Visitor::come(&served);
-    visitor.stream.write_all(b"GET / HTTP/1.1\n{\"order\":7}\n\xff\xfe\n").unwrap();
+    let mut client = TestClient::connect(&served);
+    client.stream.write_all(b"GET / HTTP/1.1\n{\"order\":7}\n\xff\xfe\n").unwrap();
     for _ in 0..3 {
-        assert!(matches!(visitor.next(), Some(Frame::Answer(answer)) if !answer.accepted));
+        assert!(matches!(client.next(), Some(Frame::Answer(answer)) if !answer.accepted));
         assert!(served.notes.recv().unwrap().refused.is_some());
     }
-    visitor.say(&stop());
-    assert!(matches!(visitor.next(), Some(Frame::Answer(answer)) if answer.accepted));
+    client.say(&stop());
+    assert!(matches!(client.next(), Some(Frame::Answer(answer)) if answer.accepted));
     assert!(served.safety.orders().emergency_stop);
 }
 
 #[test]
 fn more_clients_than_are_allowed_are_turned_away() {
     let served = serve();
-    let mut guests: Vec<_> = (0..MOST_CLIENTS).map(|_| Visitor::come(&served)).collect();
+    let mut clients: Vec<_> = (0..MOST_CLIENTS).map(|_| TestClient::connect(&served)).collect();
     served.safety.publish(SafetyState::Disarmed);
-    for guest in &mut guests {
+    for guest in &mut clients {
         guest.say(&stop());
         assert!(matches!(guest.next(), Some(Frame::Answer(_))));
     }
-    let mut late = Visitor::come(&served);
+    let mut late = TestClient::connect(&served);
     assert!(late.next().is_none());
 }

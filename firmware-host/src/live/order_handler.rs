@@ -26,7 +26,7 @@ pub enum LoopOrder {
 }
 
 /// Takes orders.
-pub struct Desk {
+pub struct OrderHandler {
     panel: ControlPanel,
     to_loop: SyncSender<LoopOrder>,
     notes: SyncSender<OperatorOrder>,
@@ -34,8 +34,8 @@ pub struct Desk {
     rate: Mutex<Bucket>,
 }
 
-impl Desk {
-    /// A desk whose tasks go to the loop by `to_loop`, and whose notes by `notes`.
+impl OrderHandler {
+    /// A handler whose tasks go to the loop by `to_loop`, and whose notes by `notes`.
     pub fn new(
         panel: ControlPanel,
         to_loop: SyncSender<LoopOrder>,
@@ -158,20 +158,20 @@ mod tests {
 
     use crate::control_panel::PanelReader;
 
-    struct Office {
-        desk: Desk,
+    struct Fixture {
+        handler: OrderHandler,
         safety: PanelReader,
         to_loop: Receiver<LoopOrder>,
         notes: Receiver<OperatorOrder>,
     }
 
-    fn office(keeps_map: bool) -> Office {
+    fn fixture(keeps_map: bool) -> Fixture {
         let panel = ControlPanel::default();
         let safety = PanelReader::new(panel.clone());
         let (loop_sender, to_loop) = sync_channel(2);
         let (note_sender, notes) = sync_channel(100);
-        Office {
-            desk: Desk::new(panel, loop_sender, note_sender, keeps_map),
+        Fixture {
+            handler: OrderHandler::new(panel, loop_sender, note_sender, keeps_map),
             safety,
             to_loop,
             notes,
@@ -184,11 +184,11 @@ mod tests {
 
     #[test]
     fn a_task_goes_to_the_loop_and_is_noted() {
-        let office = office(false);
-        let answer = office.desk.take(&line(Role::Steer, Order::Pause));
+        let fixture = fixture(false);
+        let answer = fixture.handler.take(&line(Role::Steer, Order::Pause));
         assert!(answer.accepted && answer.id == 3);
-        assert_eq!(office.to_loop.try_recv(), Ok(LoopOrder::Task(Task::Pause)));
-        let note = office.notes.recv().unwrap();
+        assert_eq!(fixture.to_loop.try_recv(), Ok(LoopOrder::Task(Task::Pause)));
+        let note = fixture.notes.recv().unwrap();
         assert_eq!(
             (note.who.as_str(), note.what.as_str(), note.refused),
             ("tester", "pause", None)
@@ -197,55 +197,55 @@ mod tests {
 
     #[test]
     fn a_stop_reaches_the_safety_plane_without_the_loop() {
-        let mut office = office(false);
-        office.safety.publish(SafetyState::Disarmed);
-        let answer = office.desk.take(&line(Role::Watch, Order::Stop));
+        let mut fixture = fixture(false);
+        fixture.safety.publish(SafetyState::Disarmed);
+        let answer = fixture.handler.take(&line(Role::Watch, Order::Stop));
         assert_eq!(answer.text, "the safety plane has stopped the robot");
-        assert!(office.safety.orders().emergency_stop);
-        assert!(office.to_loop.try_recv().is_err());
+        assert!(fixture.safety.orders().emergency_stop);
+        assert!(fixture.to_loop.try_recv().is_err());
     }
 
     #[test]
     fn a_stop_that_the_safety_plane_does_not_confirm_is_not_reported_as_done() {
-        let office = office(false);
-        office.safety.publish(SafetyState::Clear);
-        let answer = office.desk.take(&line(Role::Steer, Order::Stop));
+        let fixture = fixture(false);
+        fixture.safety.publish(SafetyState::Clear);
+        let answer = fixture.handler.take(&line(Role::Steer, Order::Stop));
         assert!(answer.text.contains("not confirmed"), "{answer:?}");
     }
 
     #[test]
     fn a_watcher_steers_nothing_and_the_attempt_is_noted() {
-        let mut office = office(true);
+        let mut fixture = fixture(true);
         for order in Order::ALL.into_iter().filter(|order| *order != Order::Stop) {
-            let answer = office.desk.take(&line(Role::Watch, order));
+            let answer = fixture.handler.take(&line(Role::Watch, order));
             assert!(!answer.accepted && answer.text.contains("watch"), "{answer:?}");
-            assert!(office.notes.recv().unwrap().refused.is_some());
+            assert!(fixture.notes.recv().unwrap().refused.is_some());
         }
-        assert!(office.to_loop.try_recv().is_err());
-        let orders = office.safety.orders();
+        assert!(fixture.to_loop.try_recv().is_err());
+        let orders = fixture.safety.orders();
         assert!(orders.request.is_none() && !orders.emergency_stop);
     }
 
     #[test]
     fn a_flood_of_orders_is_refused_but_its_stop_is_not() {
-        let mut office = office(false);
-        office.safety.publish(SafetyState::Disarmed);
+        let mut fixture = fixture(false);
+        fixture.safety.publish(SafetyState::Disarmed);
         let refused =
-            (0..100).filter(|_| !office.desk.take(&line(Role::Steer, Order::Arm)).accepted);
+            (0..100).filter(|_| !fixture.handler.take(&line(Role::Steer, Order::Arm)).accepted);
         assert!(refused.count() >= 70);
-        office.safety.orders();
-        assert!(office.desk.take(&line(Role::Steer, Order::Stop)).accepted);
-        assert!(office.safety.orders().emergency_stop);
+        fixture.safety.orders();
+        assert!(fixture.handler.take(&line(Role::Steer, Order::Stop)).accepted);
+        assert!(fixture.safety.orders().emergency_stop);
     }
 
     #[test]
     fn orders_that_the_loop_does_not_take_are_refused_and_never_wait() {
-        let office = office(true);
+        let fixture = fixture(true);
         let answers = [Order::Pause, Order::SaveMap, Order::Resume]
-            .map(|order| office.desk.take(&line(Role::Steer, order)).accepted);
+            .map(|order| fixture.handler.take(&line(Role::Steer, order)).accepted);
         assert_eq!(answers, [true, true, false]);
-        let other = self::office(false);
-        let answer = other.desk.take(&line(Role::Steer, Order::SaveMap));
+        let other = self::fixture(false);
+        let answer = other.handler.take(&line(Role::Steer, Order::SaveMap));
         assert!(!answer.accepted && answer.text.contains("--map FILE"), "{answer:?}");
     }
 }

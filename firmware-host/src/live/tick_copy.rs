@@ -22,7 +22,7 @@ const PATH_HZ: f64 = 5.0;
 
 /// A tick, as far as some client wants it.
 #[derive(Debug, Default)]
-pub struct Moment {
+pub struct TickCopy {
     /// Nanoseconds since 1970.
     pub time_ns: u64,
     pub now: Now,
@@ -37,7 +37,7 @@ pub struct Moment {
     pub events: Vec<Event>,
 }
 
-/// Makes moments.
+/// Makes the copies.
 pub struct Copies {
     hub: Arc<Hub>,
     scan: Pulse,
@@ -70,43 +70,43 @@ impl Copies {
         input: &TickInput<'_>,
         decision: &Decision,
         now: Now,
-    ) -> Moment {
+    ) -> TickCopy {
         let at = Instant::now();
         let started = || ((unix_s() * 1e9) as u64).saturating_sub(input.time_ns);
         let time_ns = *self.epoch_ns.get_or_insert_with(started) + input.time_ns;
-        let mut moment = Moment {
+        let mut copy = TickCopy {
             time_ns,
             now,
             t_odom_base: decision.t_odom_base,
             t_map_odom: decision.t_map_odom,
             goal_m: decision.goal_m,
-            ..Moment::default()
+            ..TickCopy::default()
         };
         if self.hub.wants(Topic::Scan) && self.scan.is_due(at) {
-            moment.scan = input.scan.cloned();
+            copy.scan = input.scan.cloned();
         }
         if self.hub.wants(Topic::Path) && self.path.is_due(at) {
             let is_driving = robot.explorer().goal().is_some();
             let corners_m = if is_driving { robot.explorer().path_m() } else { &[] };
-            moment.path_m = Some(corners_m.to_vec());
+            copy.path_m = Some(corners_m.to_vec());
         }
         if self.hub.wants(Topic::Map) && (self.hub.is_fresh(Topic::Map) || self.map.is_due(at)) {
-            moment.map = map_view(robot.map());
+            copy.map = map_view(robot.map());
         }
         if let Some(view) = input.frame.filter(|_| self.hub.wants(Topic::Camera))
             && self.camera.is_due(at)
         {
             let rgb = view.data().to_vec();
-            moment.frame = Some(RgbImage { width: view.width(), height: view.height(), rgb });
+            copy.frame = Some(RgbImage { width: view.width(), height: view.height(), rgb });
         }
         if let Some(depth) = robot.mapped_depth().filter(|_| self.hub.wants(Topic::Depth))
             && self.depth.is_due(at)
         {
-            moment.depth = Some(depth.depth.clone());
+            copy.depth = Some(depth.depth.clone());
         }
         if self.hub.wants(Topic::Events) {
-            moment.events.clone_from(&decision.events);
+            copy.events.clone_from(&decision.events);
         }
-        moment
+        copy
     }
 }
