@@ -16,6 +16,9 @@ const LATER_RUN_MIN: u32 = 10;
 /// How often each of the tests that kill programs does so.
 const KILLS: &str = "200";
 const FEW_KILLS: &str = "6 of each are among the tests; `cargo xtask test --all` kills 200 times";
+/// Ignored tests of the live view that measure or draw, and have no peer.
+const NO_MEASUREMENTS: &str =
+    "--skip cost_of_the_view --skip figures_of_the_link --skip screenshots_for_the_documentation";
 const NO_SITE: &str = "its links are checked by a test; `cargo xtask docs` builds it";
 
 /// What is built, once for all steps: the workspace with the features that are off by default.
@@ -68,9 +71,9 @@ pub fn run(all: bool) -> Result<()> {
     };
     let beside_peers = match has_nextest {
         true => format!(
-            "nextest run {TESTED} --run-ignored only -E not(test(lerobots_own_class)|package(pull-buffer)|package(push-model))"
+            "nextest run {TESTED} --run-ignored only -E not(test(lerobots_own_class)|package(pull-buffer)|package(push-model)|binary(live))"
         ),
-        false => format!("test {TESTED} --tests -- --ignored"),
+        false => format!("test {TESTED} --tests -- --ignored {NO_MEASUREMENTS}"),
     };
     let kills = match has_nextest {
         true => format!("nextest run {TESTED} --profile kills"),
