@@ -288,7 +288,7 @@ fn the_printed_defaults_are_a_valid_configuration() {
     let printed = firmware_host(&["check"]);
     assert!(printed.status.success());
     let config = dir.path().join("robot.toml");
-    // The endpoints of the robot's own motors are the only values that nobody else can know.
+    // The endpoints of the robot's own motors are the only values that have no default.
     let mut endpoints = 0;
     let completed: Vec<String> = text(&printed.stdout)
         .lines()

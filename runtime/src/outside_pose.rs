@@ -22,7 +22,7 @@ pub struct OutsideInput {
     pub wheel_odom: Pose2,
 }
 
-/// The fields without nested objects, for whoever writes a sender.
+/// The fields without nested objects, so that a sender is easy to write.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Flat {

@@ -139,8 +139,10 @@ impl Session {
             Ok(order) => order,
             Err(why) => return self.say(protocol::service_failure(&call, &why)).await,
         };
-        let (robot, who) = (self.robot.clone(), self.who.clone());
-        let (role, answers) = (self.identity.role, self.answers.clone());
+        let robot = self.robot.clone();
+        let who = self.who.clone();
+        let role = self.identity.role;
+        let answers = self.answers.clone();
         tokio::spawn(async move {
             let message = match robot.order(&who, role, order).await {
                 Ok(answer) => Message::Binary(

@@ -2,23 +2,13 @@
 
 use hal::DepthMap;
 
+use crate::report::colors;
+
 /// The nearest and the farthest depth that differ in colour, metres.
 const NEAR_M: f32 = 0.3;
 const FAR_M: f32 = 10.0;
 /// Where there is no depth.
 const NONE: [u8; 3] = [110, 110, 110];
-/// From near to far: nine colours of the perceptually uniform map viridis (matplotlib, CC0), from its end to its beginning.
-const RAMP: [[u8; 3]; 9] = [
-    [253, 231, 37],
-    [173, 220, 48],
-    [94, 201, 98],
-    [40, 174, 128],
-    [33, 145, 140],
-    [44, 113, 142],
-    [59, 82, 139],
-    [72, 40, 120],
-    [68, 1, 84],
-];
 
 /// The image in RGB8, row-major.
 pub fn image(depth: &DepthMap) -> Vec<u8> {
@@ -31,15 +21,7 @@ fn color(depth_m: f32) -> [u8; 3] {
         return NONE;
     }
     let share = (depth_m / NEAR_M).ln() / (FAR_M / NEAR_M).ln();
-    let at = share.clamp(0.0, 1.0) * (RAMP.len() - 1) as f32;
-    let index = (at as usize).min(RAMP.len() - 2);
-    let part = at - index as f32;
-    let mut mixed = RAMP[index];
-    for (channel, far) in mixed.iter_mut().zip(RAMP[index + 1]) {
-        let near = f32::from(*channel);
-        *channel = (near + (f32::from(far) - near) * part).round() as u8;
-    }
-    mixed
+    colors::depth(f64::from(share))
 }
 
 #[cfg(test)]
@@ -57,6 +39,6 @@ mod tests {
         for none in [0.0, -1.0, f32::NAN, f32::INFINITY] {
             assert_eq!(color(none), NONE);
         }
-        assert_eq!((color(0.01), color(90.0)), (RAMP[0], RAMP[8]));
+        assert_eq!([color(0.01), color(90.0)], [colors::depth(0.0), colors::depth(1.0)]);
     }
 }

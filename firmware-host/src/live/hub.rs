@@ -19,7 +19,7 @@ pub struct Hub {
     clients: Mutex<Vec<Arc<Client>>>,
     /// The topics that some client wants, one bit each. The exploration loop reads only this.
     wanted: AtomicU32,
-    /// The topics that some client wants since a moment ago: it should not wait for the topic's next turn.
+    /// The topics that a client has subscribed since the last tick: their first message does not wait for its turn.
     fresh: AtomicU32,
 }
 

@@ -3,7 +3,8 @@
 //! The planes neither wait for it nor know of it. After a tick, the loop copies what some client has subscribed, as often as the
 //! configuration allows, into a short queue; what does not fit is dropped and counted. A thread of low priority encodes it, and
 //! every client has a reader and a writer of its own. Orders to stop and to arm go from the client's thread to the safety plane
-//! directly ([`ControlPanel`]); tasks wait for the next tick. Every order is noted in the input of a tick, and so recorded.
+//! directly ([`ControlPanel`]); tasks wait for the next tick. Every order
+//! within the rate limit is noted in the input of a tick, and so recorded.
 
 mod channels;
 mod depth_color;
@@ -40,7 +41,7 @@ use hub::Hub;
 use order_handler::{LoopOrder, OrderHandler};
 use socket::Server;
 use tick_copy::Copies;
-use words::Narrator;
+use words::StateTracker;
 
 /// Ticks that wait for the thread that encodes them: the time that a large map takes.
 const QUEUE: usize = 4;
@@ -52,7 +53,7 @@ pub struct Live {
     hub: Arc<Hub>,
     queue: SyncSender<Item>,
     copies: Copies,
-    narrator: Narrator,
+    state: StateTracker,
     orders: Receiver<LoopOrder>,
     notes: Receiver<OperatorOrder>,
     dropped: u64,
@@ -99,8 +100,8 @@ impl Live {
         };
         Encoder::start(Arc::clone(&hub), config.live.clone(), mounts, items)?;
         let copies = Copies::new(&config.live, Arc::clone(&hub));
-        let narrator = Narrator::new(panel);
-        Ok(Self { hub, queue, copies, narrator, orders, notes, dropped: 0, _server: server })
+        let state = StateTracker::new(panel);
+        Ok(Self { hub, queue, copies, state, orders, notes, dropped: 0, _server: server })
     }
 
     /// Gives the orders that have come to the session before its next tick.
@@ -136,11 +137,11 @@ impl Live {
         decision: &Decision,
         took: Duration,
     ) {
-        self.narrator.note(input, decision);
+        self.state.note(input, decision);
         if !self.hub.has_subscriptions() {
             return;
         }
-        let now = self.narrator.now(robot, input, decision, took, self.dropped);
+        let now = self.state.now(robot, input, decision, took, self.dropped);
         let copy = self.copies.of(robot, input, decision, now);
         if self.queue.try_send(Item::Tick(Box::new(copy))).is_err() {
             self.dropped += 1;

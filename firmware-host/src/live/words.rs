@@ -48,7 +48,7 @@ struct Goal {
 }
 
 /// Remembers of earlier ticks what explains the present one.
-pub struct Narrator {
+pub struct StateTracker {
     panel: ControlPanel,
     memory: Memory,
     began_ns: Option<u64>,
@@ -71,7 +71,7 @@ struct Memory {
     goal: Option<(GoalReason, [f64; 2])>,
 }
 
-impl Narrator {
+impl StateTracker {
     /// At the start of a run.
     pub fn new(panel: ControlPanel) -> Self {
         Self { panel, memory: Memory::default(), began_ns: None }

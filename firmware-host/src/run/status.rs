@@ -197,7 +197,7 @@ impl Status {
         })
     }
 
-    /// How a person lets the robot move, if it stands only because nobody has armed it yet.
+    /// How a person lets the robot move, if it stands only because it has not been armed yet.
     #[must_use]
     pub fn arming(&self) -> Option<String> {
         let waits = self.safety.state == "disarmed" && !self.safety.needs_person;

@@ -117,7 +117,7 @@ async fn figures_of_the_link() {
     );
 }
 
-/// The tick's latencies in the summary of a run with so many clients.
+/// The tick's latencies in the summary of a run with this number of clients.
 async fn run(clients: Option<usize>) -> Value {
     let folder = tempfile::tempdir().unwrap();
     let mut command = Command::new(assert_cmd::cargo::cargo_bin!("firmware-host"));

@@ -56,7 +56,7 @@ pub(super) struct Means<'a> {
 impl Errand {
     /// Standing where the robot is.
     pub(super) const HERE: Self = Self {
-        why: GoalReason::Return,
+        why: GoalReason::Task,
         target_m: [0.0; 2],
         yaw_rad: None,
         stage: Stage::Standing,
@@ -65,12 +65,7 @@ impl Errand {
 
     /// A drive to a place in `map`, metres.
     pub(super) fn to_place(target_m: [f64; 2]) -> Self {
-        Self {
-            why: GoalReason::Task,
-            target_m,
-            stage: Stage::Waiting { until_ns: 0 },
-            ..Self::HERE
-        }
+        Self { target_m, stage: Stage::Waiting { until_ns: 0 }, ..Self::HERE }
     }
 
     /// A return to a pose in `map`.
@@ -90,6 +85,11 @@ impl Errand {
     /// Whether nothing is left to do.
     pub(super) fn is_standing(&self) -> bool {
         self.stage == Stage::Standing
+    }
+
+    /// Whether the robot was to return, and is back or has given up.
+    pub(super) fn has_returned(&self) -> bool {
+        self.why == GoalReason::Return && self.is_standing()
     }
 
     /// Moves the place, after the map was corrected.

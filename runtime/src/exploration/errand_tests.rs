@@ -163,6 +163,23 @@ fn a_pause_stands_at_once_and_the_robot_explores_when_it_may_again() {
 }
 
 #[test]
+fn a_robot_that_is_paused_on_its_return_is_not_done_and_returns_when_it_may_go_on() {
+    let config = ExplorationConfig { return_to_start: true, ..ExplorationConfig::default() };
+    let mut drive = Drive::new(config);
+    while drive.count(&Event::Explored) == 0 && drive.tick < 5000 {
+        drive.step();
+    }
+    assert!(drive.pose.distance_m(&START) > 0.1, "it is elsewhere when all is seen");
+    drive.begin(Task::Pause);
+    assert!(drive.stands() && !drive.explorer.is_done());
+    drive.begin(Task::Explore);
+    while !drive.explorer.is_done() && drive.tick < 8000 {
+        drive.step();
+    }
+    assert!(drive.explorer.is_done() && drive.pose.distance_m(&START) < 0.1, "{:?}", drive.pose);
+}
+
+#[test]
 fn places_move_with_the_map() {
     let mut drive = Drive::new(ExplorationConfig::default());
     drive.steps(5);

@@ -124,7 +124,7 @@ impl Explorer {
     /// its start if it was to return.
     #[must_use]
     pub fn is_done(&self) -> bool {
-        let returned = self.errand.as_ref().is_some_and(Errand::is_standing);
+        let returned = self.errand.as_ref().is_some_and(Errand::has_returned);
         self.ending.has_ended() && (returned || !self.config.return_to_start)
     }
 
@@ -142,12 +142,18 @@ impl Explorer {
         self.forget_goal();
         self.choose_at = 0;
         self.errand = match task {
-            Task::Explore => None,
+            Task::Explore => self.return_after_exploration(),
             Task::GoTo { x_m, y_m } => Some(Errand::to_place([x_m, y_m])),
             // Before its first decision the robot is at its start.
             Task::Pause => Some(Errand::HERE),
             Task::Return => Some(self.start.as_ref().map_or(Errand::HERE, Errand::back_to)),
         };
+    }
+
+    /// The drive back to the start, if exploration has ended and the robot is to return then.
+    fn return_after_exploration(&self) -> Option<Errand> {
+        let returns = self.ending.has_ended() && self.config.return_to_start;
+        self.start.as_ref().filter(|_| returns).map(Errand::back_to)
     }
 
     /// The path to the goal as corner points in `odom`, metres.
@@ -322,8 +328,8 @@ impl Explorer {
         let floor_m2 = senses.map.free_m2();
         if self.ending.update(is_open, floor_m2, senses.time_ns) {
             events.push(Event::Explored);
-            if self.config.return_to_start {
-                self.errand = self.start.as_ref().map(Errand::back_to);
+            self.errand = self.return_after_exploration();
+            if self.errand.is_some() {
                 return;
             }
         }

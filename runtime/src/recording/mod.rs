@@ -34,6 +34,8 @@ pub use tick::{RecordedTick, RgbImage};
 pub use views::{MapView, Views};
 /// Foxglove's messages of single parts, for the live view.
 pub mod messages {
-    pub use super::views::{calibration, grid, log, path, pose_in, scan, timestamp, transforms};
+    pub use super::views::{
+        calibration, field, grid, log, path, pose, pose_in, scan, timestamp, transforms,
+    };
 }
 pub use writer::{CHUNK_BYTES, CHUNK_NS, END_WITHOUT_SUMMARY, RecordingWriter};

@@ -64,11 +64,13 @@ pub fn calibration(model: &CameraModel, time_ns: u64) -> fox::CameraCalibration 
 
 /// A pose in `frame`; `None` when it is not finite, because viewers drop the whole scene when it holds a NaN.
 pub fn pose_in(frame: &str, pose: &Pose2, time_ns: u64) -> Option<fox::PoseInFrame> {
-    let pose = pose.is_finite().then(|| fox_pose(&pose.to_pose3()))?;
+    if !pose.is_finite() {
+        return None;
+    }
     Some(fox::PoseInFrame {
         timestamp: timestamp(time_ns),
         frame_id: frame.to_owned(),
-        pose: Some(pose),
+        pose: Some(self::pose(&pose.to_pose3())),
     })
 }
 
@@ -141,7 +143,7 @@ fn transform(parent: &str, child: &str, pose: &Pose3, time_ns: u64) -> fox::Fram
 pub fn path(points_m: &[[f64; 2]], time_ns: u64) -> fox::PosesInFrame {
     let poses = (0..points_m.len()).map(|at| {
         let [x_m, y_m] = points_m[at];
-        fox_pose(&Pose2 { x_m, y_m, yaw_rad: yaw_on_path(points_m, at) }.to_pose3())
+        pose(&Pose2 { x_m, y_m, yaw_rad: yaw_on_path(points_m, at) }.to_pose3())
     });
     fox::PosesInFrame {
         timestamp: timestamp(time_ns),
@@ -174,7 +176,7 @@ pub fn grid(map: &MapView, time_ns: u64) -> Result<fox::Grid, String> {
     Ok(fox::Grid {
         timestamp: timestamp(time_ns),
         frame_id: "map".to_owned(),
-        pose: Some(fox_pose(
+        pose: Some(pose(
             &Pose2 { x_m: map.origin_m[0], y_m: map.origin_m[1], yaw_rad: 0.0 }.to_pose3(),
         )),
         column_count: columns,
@@ -192,7 +194,9 @@ pub fn grid(map: &MapView, time_ns: u64) -> Result<fox::Grid, String> {
     })
 }
 
-fn field(name: &str, offset: u32, r#type: NumericType) -> fox::PackedElementField {
+/// A field of the cells of a grid or the points of a cloud.
+#[must_use]
+pub fn field(name: &str, offset: u32, r#type: NumericType) -> fox::PackedElementField {
     fox::PackedElementField { name: name.to_owned(), offset, r#type: r#type as i32 }
 }
 
@@ -206,7 +210,9 @@ fn cell_bytes(occupancy: i8) -> [u8; 5] {
     [grey as u8, grey as u8, grey as u8, 255, value]
 }
 
-fn fox_pose(pose: &Pose3) -> fox::Pose {
+/// A pose.
+#[must_use]
+pub fn pose(pose: &Pose3) -> fox::Pose {
     fox::Pose {
         position: Some(fox_vector(pose)),
         orientation: Some(fox_quaternion(&pose.rotation)),

@@ -44,11 +44,11 @@ impl OutsideOdometry {
         events: &mut Vec<Event>,
     ) -> TickInput<'a> {
         if let Some(outside) = &input.outside
-            && let Err(why) = self.take(outside, input.wheel.time_ns)
+            && let Err(why) = self.take(outside, input.time_ns)
         {
             events.push(Event::InputRefused { why });
         }
-        self.note_silence(input.wheel.time_ns, events);
+        self.note_silence(input.time_ns, events);
         let mut input = *input;
         if let Some(t_odom_wheels) = self.t_odom_wheels.filter(Pose2::is_finite) {
             input.wheel.odom = t_odom_wheels.compose(&input.wheel.odom);
@@ -191,6 +191,19 @@ mod tests {
         // What the wheels got wrong meanwhile is put right by the next pose.
         let back = drive.step(Some(as_it_is));
         assert!((first.inverse().compose(&back).x_m - 21.0 * 0.03).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_pose_that_is_newer_than_the_frame_of_its_tick_is_used() {
+        let mut tick = RecordedTick::new(50, 50 * TICK_NS);
+        // A camera needs some time, and a tick has the wheels at the time of its frame.
+        tick.wheel.time_ns -= 2 * MAX_AHEAD_NS;
+        let outside = OutsidePose { time_ns: tick.time_ns, pose: Pose2::IDENTITY };
+        tick.outside = Some(OutsideInput { outside, wheel_odom: Pose2::IDENTITY });
+        let mut odometry = OutsideOdometry::default();
+        let mut events = Vec::new();
+        odometry.apply(&tick.input().unwrap(), &mut events);
+        assert!(events.is_empty() && odometry.last == Some(outside), "{events:?}");
     }
 
     #[test]

@@ -29,7 +29,7 @@ const TRY_AGAIN: u8 = 75;
 fn main() -> ExitCode {
     let options = Options::parse();
     if let Some(text) = options.manual() {
-        // Whoever closes the pipe does not want the rest.
+        // A reader that closes the pipe does not want the rest.
         let _ = std::io::stdout().write_all(&text);
         return ExitCode::SUCCESS;
     }

@@ -4,6 +4,7 @@ use fox::packed_element_field::NumericType;
 use foxglove::messages as fox;
 use hal::Pose3;
 use nalgebra::Point3;
+use runtime::recording::messages;
 
 /// Okabe and Ito's colours, which eyes that do not tell red from green distinguish, too.
 pub(super) const VERMILION: [u8; 4] = [213, 94, 0, 255];
@@ -131,24 +132,19 @@ pub(super) fn points(
         }
         data.extend(color);
     }
-    let field = |name: &str, offset, kind: NumericType| fox::PackedElementField {
-        name: name.to_owned(),
-        offset,
-        r#type: kind as i32,
-    };
     fox::PointCloud {
         timestamp,
         frame_id: "map".to_owned(),
-        pose: Some(fox_pose(&Pose3::identity())),
+        pose: Some(messages::pose(&Pose3::identity())),
         point_stride: 16,
         fields: vec![
-            field("x", 0, NumericType::Float32),
-            field("y", 4, NumericType::Float32),
-            field("z", 8, NumericType::Float32),
-            field("red", 12, NumericType::Uint8),
-            field("green", 13, NumericType::Uint8),
-            field("blue", 14, NumericType::Uint8),
-            field("alpha", 15, NumericType::Uint8),
+            messages::field("x", 0, NumericType::Float32),
+            messages::field("y", 4, NumericType::Float32),
+            messages::field("z", 8, NumericType::Float32),
+            messages::field("red", 12, NumericType::Uint8),
+            messages::field("green", 13, NumericType::Uint8),
+            messages::field("blue", 14, NumericType::Uint8),
+            messages::field("alpha", 15, NumericType::Uint8),
         ],
         data: data.into(),
     }
@@ -158,7 +154,8 @@ pub(super) fn points(
 /// writes.
 pub(super) fn colored(depth: &fox::RawImage) -> Option<fox::CompressedImage> {
     let pixels = depth.data.as_chunks::<2>().0;
-    let (width, height) = (depth.width as usize, depth.height as usize);
+    let width = depth.width as usize;
+    let height = depth.height as usize;
     if depth.encoding != "16UC1" || width.checked_mul(height) != Some(pixels.len()) {
         return None;
     }
@@ -178,20 +175,6 @@ fn color(depth_mm: u16) -> [u8; 3] {
     }
     let share = (f64::from(depth_mm) / 1000.0 / NEAR_M).ln() / (FAR_M / NEAR_M).ln();
     colorous::VIRIDIS.eval_continuous(1.0 - share.clamp(0.0, 1.0)).as_array()
-}
-
-fn fox_pose(pose: &Pose3) -> fox::Pose {
-    let at = pose.translation.vector;
-    let rotation = pose.rotation;
-    fox::Pose {
-        position: Some(fox::Vector3 { x: at.x, y: at.y, z: at.z }),
-        orientation: Some(fox::Quaternion {
-            x: rotation.i,
-            y: rotation.j,
-            z: rotation.k,
-            w: rotation.w,
-        }),
-    }
 }
 
 #[cfg(test)]
@@ -245,7 +228,7 @@ mod tests {
     #[test]
     fn a_grid_with_other_cells_is_not_drawn() {
         let grid = fox::Grid {
-            pose: Some(fox_pose(&Pose3::identity())),
+            pose: Some(messages::pose(&Pose3::identity())),
             cell_size: Some(fox::Vector2 { x: 0.05, y: 0.05 }),
             column_count: 2,
             row_stride: 10,

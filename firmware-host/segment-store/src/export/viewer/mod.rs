@@ -16,6 +16,7 @@ use foxglove::{Decode, Encode, messages as fox};
 use mcap::McapError;
 use mcap::records::MessageHeader;
 use nalgebra::Point3;
+use runtime::recording::messages::timestamp;
 use serde::Deserialize;
 
 use self::poses::Poses;
@@ -178,7 +179,7 @@ impl Shown {
         if let Some(t_map_base) = self.poses.t_map_base() {
             let at = t_map_base.translation.vector;
             let at = [Point3::new(at.x, at.y, TRACK_HEIGHT_M)];
-            let stamp = stamp(self.dates.unix_ns(time_ns));
+            let stamp = timestamp(self.dates.unix_ns(time_ns));
             self.put(out, "/track/points", time_ns, &draw::points(stamp, &at, draw::SKY))?;
             let mark = draw::robot(&t_map_base, ROBOT_HEIGHT_M);
             self.put(out, "/robot/points", time_ns, &draw::points(stamp, &mark, draw::ORANGE))?;
@@ -247,13 +248,8 @@ impl Shown {
     }
 
     fn date(&self, recorded: Option<fox::Timestamp>) -> Option<fox::Timestamp> {
-        stamp(self.dates.unix_ns(recorded?.total_nanos()))
+        timestamp(self.dates.unix_ns(recorded?.total_nanos()))
     }
-}
-
-fn stamp(unix_ns: u64) -> Option<fox::Timestamp> {
-    let seconds = u32::try_from(unix_ns / 1_000_000_000).ok()?;
-    fox::Timestamp::new_checked(seconds, (unix_ns % 1_000_000_000) as u32)
 }
 
 fn encoded(content: &impl Encode) -> Result<Vec<u8>, McapError> {
