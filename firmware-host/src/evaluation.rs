@@ -24,6 +24,7 @@ pub const NEAR_EDGE_M: f64 = 0.1;
 /// Counts and sums over a run.
 pub struct Evaluation {
     coarse: Accuracy,
+    dense: Accuracy,
     network: Accuracy,
     /// Of the network, where coarse depth is.
     refined: Accuracy,
@@ -65,6 +66,7 @@ impl Evaluation {
     pub fn new(coverage: Option<Coverage>) -> Self {
         Self {
             coarse: Accuracy::new(),
+            dense: Accuracy::new(),
             network: Accuracy::new(),
             refined: Accuracy::new(),
             constant: ConstantBaseline::new(),
@@ -131,6 +133,7 @@ impl Evaluation {
 
     fn compare_depth(&mut self, robot: &Robot, truth: &DepthMap) -> Result<(), SizeMismatch> {
         self.coarse.add(robot.coarse_depth(), truth)?;
+        self.dense.add(robot.dense_depth(), truth)?;
         self.constant.add(truth);
         let Some(network) = robot.network_depth() else { return Ok(()) };
         self.network.add(Some(network), truth)?;
@@ -209,6 +212,7 @@ impl Evaluation {
     /// Fills in what this knows.
     pub fn summarise(&self, summary: &mut Summary) {
         let network = self.network.rows();
+        let dense = self.dense.rows();
         let constant = self.constant.rows();
         summary.path_m = Some(self.path_m);
         summary.coverage = self.coverage.as_ref().map(Coverage::share);
@@ -222,6 +226,7 @@ impl Evaluation {
         summary.events = self.events.clone();
         summary.accuracy = constant.all.is_some().then(|| DepthAccuracy {
             coarse: Some(self.coarse.rows()),
+            dense: dense.all.is_some().then_some(dense),
             network: network.all.is_some().then_some(network),
             refined: self.refined.rows().all,
             constant: Some(constant),

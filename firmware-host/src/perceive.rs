@@ -6,10 +6,10 @@ mod source;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
-use hal::ImageView;
+use hal::{ImageView, Pose2};
 use runtime::accuracy::{Accuracy, ConstantBaseline};
 use runtime::event::Event;
-use runtime::perception::{CoarseDepth, DepthEstimate, DepthNetwork};
+use runtime::perception::{CoarseDepth, DenseDepth, DepthEstimate, DepthNetwork, NoDepth};
 
 use crate::cli::PerceiveArgs;
 use crate::dataset::{Dataset, Sample};
@@ -48,10 +48,15 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     prepare_dir(&args.out)?;
     let mut dump = args.dump.as_deref().map(|dir| Dump::create(dir, &camera)).transpose()?;
 
+    let coarse = CoarseDepth::new(config.coarse.clone(), camera)?;
+    // A recorded robot stood on a floor; how the camera of another sequence was held is not known.
+    let mount = source.is_recording().then(|| config.camera.mount());
     let mut evaluator = Evaluator {
-        coarse: CoarseDepth::new(config.coarse.clone(), camera)?,
+        dense: DenseDepth::new(config.dense.clone(), &camera, &coarse, mount.as_ref()),
+        coarse,
         network,
         coarse_accuracy: Accuracy::new(),
+        dense_accuracy: Accuracy::new(),
         network_accuracy: Accuracy::new(),
         refined_accuracy: Accuracy::new(),
         constant: ConstantBaseline::new(),
@@ -128,8 +133,10 @@ fn top_view(dataset: &Dataset) -> Result<TopView> {
 /// Runs coarse depth and the network, and collects their accuracy and timing.
 struct Evaluator {
     coarse: CoarseDepth,
+    dense: DenseDepth,
     network: Option<DepthNetwork>,
     coarse_accuracy: Accuracy,
+    dense_accuracy: Accuracy,
     network_accuracy: Accuracy,
     /// Accuracy of the network on the pixels that have coarse depth.
     refined_accuracy: Accuracy,
@@ -153,7 +160,13 @@ impl Evaluator {
         if let Err(why) = coarse {
             self.events.add(&Event::NoDepth { why });
         }
-        let coarse = coarse.ok();
+        let has_image = coarse.map_or_else(NoDepth::has_image, |_| true);
+        let has_coarse = coarse.is_ok();
+        if has_image {
+            self.dense.complete(&self.coarse, &Pose2::IDENTITY, 0);
+        }
+        self.stopwatch.lap(Stage::Dense);
+        let coarse = has_coarse.then(|| self.coarse.last());
         let mut refined = None;
         if let Some(network) = &mut self.network {
             match network.estimate(frame, &sample.t_world_camera, coarse) {
@@ -168,6 +181,7 @@ impl Evaluator {
         }
         if let Some(truth) = &sample.truth {
             self.coarse_accuracy.add(coarse, truth)?;
+            self.dense_accuracy.add(has_image.then(|| self.dense.last()), truth)?;
             self.constant.add(truth);
             if let Some(refined) = refined {
                 self.network_accuracy.add(Some(refined), truth)?;
@@ -189,8 +203,10 @@ impl Evaluator {
     fn summary(&self, frames: u64, wall_s: f64, dataset: &str) -> Summary {
         let constant = self.constant.rows();
         let network = self.network_accuracy.rows();
+        let dense = self.dense_accuracy.rows();
         let accuracy = constant.all.is_some().then(|| DepthAccuracy {
             coarse: Some(self.coarse_accuracy.rows()),
+            dense: dense.all.is_some().then_some(dense),
             network: network.all.is_some().then_some(network),
             refined: self.refined_accuracy.rows().all,
             constant: Some(constant),

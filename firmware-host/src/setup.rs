@@ -49,6 +49,7 @@ impl Config {
             seed: mission.seed,
             depth_source: mission.depth_source,
             coarse: self.coarse.clone(),
+            dense: self.dense.clone(),
             map: self.map.clone(),
             plan: self.plan_config(),
             follower: self.follower_config(),

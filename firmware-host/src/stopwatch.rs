@@ -49,6 +49,7 @@ impl StageTimer for Stopwatch {
     fn ended(&mut self, stage: RobotStage) {
         self.lap(match stage {
             RobotStage::Coarse => Stage::Coarse,
+            RobotStage::Dense => Stage::Dense,
             RobotStage::Network => Stage::Network,
             RobotStage::Map => Stage::Map,
             RobotStage::Plan => Stage::Plan,

@@ -11,7 +11,7 @@ use hal::{CameraModel, Clock, Pose2, Twist2};
 use runtime::exploration::{ExplorationConfig, PolicyKind};
 use runtime::localization::LocalizationConfig;
 use runtime::mapping::MapConfig;
-use runtime::perception::CoarseConfig;
+use runtime::perception::{CoarseConfig, DenseConfig};
 use runtime::planning::{FollowerConfig, PlanConfig};
 use runtime::recording::RecordedTick;
 use runtime::robot::{DepthSource, Robot, RobotConfig, Stage, StageTimer};
@@ -218,6 +218,7 @@ fn robot_config(policy: PolicyKind, options: &RobotOptions) -> RobotConfig {
         seed: options.seed,
         depth_source: DepthSource::Coarse,
         coarse: CoarseConfig::default(),
+        dense: DenseConfig::default(),
         map: MapConfig::default(),
         plan: PlanConfig { footprint_radius_m: FOOTPRINT_M, ..PlanConfig::default() },
         follower: FollowerConfig::default(),

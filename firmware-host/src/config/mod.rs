@@ -20,8 +20,12 @@ mod without_simulator;
 use std::path::Path;
 
 use runtime::{
-    exploration::ExplorationConfig, localization::LocalizationConfig, mapping::MapConfig,
-    perception::CoarseConfig, planning::PlanningSection, safety::SafetySection,
+    exploration::ExplorationConfig,
+    localization::LocalizationConfig,
+    mapping::MapConfig,
+    perception::{CoarseConfig, DenseConfig},
+    planning::PlanningSection,
+    safety::SafetySection,
 };
 
 pub use devices::{DevicesSection, LensSection, RunSection};
@@ -47,6 +51,7 @@ hal::settings! {
         base: BaseSection;
         safety: SafetySection, was "bumper";
         coarse: CoarseConfig;
+        dense: DenseConfig;
         localization: LocalizationConfig;
         map: MapConfig;
         planning: PlanningSection;

@@ -13,6 +13,8 @@ pub enum Stage {
     Total,
     /// Computation of coarse depth.
     Coarse,
+    /// Completion of coarse depth to dense depth.
+    Dense,
     /// Inference of the depth network.
     Network,
     /// Update of the map.
@@ -30,9 +32,10 @@ pub enum Stage {
 }
 
 impl Stage {
-    const ALL: [Self; 9] = [
+    const ALL: [Self; 10] = [
         Self::Total,
         Self::Coarse,
+        Self::Dense,
         Self::Network,
         Self::Map,
         Self::Plan,
@@ -48,6 +51,7 @@ impl Stage {
         match self {
             Self::Total => "total",
             Self::Coarse => "coarse",
+            Self::Dense => "dense",
             Self::Network => "network",
             Self::Map => "map",
             Self::Plan => "plan",

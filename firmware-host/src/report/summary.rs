@@ -231,6 +231,9 @@ impl fmt::Display for LidarLine {
 pub struct DepthAccuracy {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<AccuracyRows>,
+    /// Coarse depth, completed by what was seen before and by the cells around.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dense: Option<AccuracyRows>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub network: Option<AccuracyRows>,
     /// Accuracy of the network on the pixels that have coarse depth.

@@ -239,6 +239,7 @@ fn accuracy(summary: &Summary) -> Option<Table> {
         "rmse (m)",
     ]);
     add_source(&mut table, "coarse", accuracy.coarse);
+    add_source(&mut table, "dense", accuracy.dense);
     add_source(&mut table, "network", accuracy.network);
     if let Some(row) = accuracy.refined {
         table.add_row(accuracy_row("network, where coarse is".to_owned(), &row));

@@ -61,11 +61,25 @@ pub struct CoarseDepth {
     rotation_filter: RotationFilter,
     /// The last frame had flow to the frame before, and its yaw error was not taken yet.
     has_motion: bool,
+    is_matched: bool,
     /// `t_odom_camera` of the last frame, filtered.
     pose: Pose3,
     motion_mask: MotionMask,
     buffers: Buffers,
     estimate: DepthEstimate,
+}
+
+/// What a frame saw, by cells of 4x4 pixels, row-major.
+pub(super) struct SeenCells<'a> {
+    /// `t_odom_camera`, filtered.
+    pub pose: Pose3,
+    pub beliefs: &'a [Belief],
+    pub confidence: &'a [f32],
+    pub surroundings: &'a [Surround],
+    /// Brightness of the full-size image, 256 to a grey level.
+    pub smooth: &'a [u16],
+    /// Whether the frame was matched with earlier ones.
+    pub is_matched: bool,
 }
 
 /// Scratch memory, allocated once.
@@ -128,6 +142,7 @@ impl CoarseDepth {
             motion: FrameMotion::new(camera.width, camera.height)?,
             rotation_filter: RotationFilter::default(),
             has_motion: false,
+            is_matched: false,
             pose: Pose3::identity(),
             motion_mask: MotionMask::new(camera.width, camera.height),
             estimate: DepthEstimate::none(camera.width, camera.height),
@@ -155,6 +170,7 @@ impl CoarseDepth {
 
     fn estimate_in_pool(&mut self, frame: ImageView<'_>, pose: &Pose3) -> Result<(), NoDepth> {
         self.has_motion = false;
+        self.is_matched = false;
         if !pose.to_homogeneous().iter().all(|value| value.is_finite()) {
             return Err(NoDepth::PoseNotFinite);
         }
@@ -200,6 +216,24 @@ impl CoarseDepth {
         &self.estimate
     }
 
+    /// What the last frame saw, by cells.
+    pub(super) fn seen(&self) -> SeenCells<'_> {
+        SeenCells {
+            pose: self.pose,
+            beliefs: self.memory.beliefs(),
+            confidence: &self.buffers.confidence,
+            surroundings: self.buffers.surroundings.last(),
+            smooth: &self.last_smooth,
+            is_matched: self.is_matched,
+        }
+    }
+
+    /// The camera whose pixels are the cells.
+    #[must_use]
+    pub fn cell_camera(&self) -> &CameraModel {
+        &self.cells
+    }
+
     fn process(&mut self, measured: &Pose3) -> Result<(), NoDepth> {
         let jumped = self.last_pose.is_some_and(|last| self.is_jump(&last, measured));
         if jumped {
@@ -227,6 +261,7 @@ impl CoarseDepth {
             }
         } else {
             self.match_against(&chosen);
+            self.is_matched = true;
             self.update_confidence();
             self.update_scene_depth();
         }
@@ -328,7 +363,7 @@ impl CoarseDepth {
             Some(Reference::new(&keyframe.census, &t_reference_camera, &self.descriptors))
         });
         sweep(image, &references, inverse_depth, costs, unseen);
-        shrink(image, width, grey);
+        shrink(&image.smooth, image.width, width, grey);
         let p1 = self.config.penalty_small;
         let p2 = self.config.penalty_large;
         let volume = Volume { costs, width, grey, p1, p2 };
@@ -409,7 +444,7 @@ impl CoarseDepth {
     /// Upsamples the beliefs to full size.
     fn write_estimate(&mut self) {
         let Buffers { grey, confidence, .. } = &mut self.buffers;
-        shrink(&self.image, self.cells.width, grey);
+        shrink(&self.image.smooth, self.image.width, self.cells.width, grey);
         let width = self.cells.width;
         let beliefs = self.memory.beliefs();
         let cells =
@@ -418,12 +453,10 @@ impl CoarseDepth {
     }
 }
 
-/// The grey value in the middle of every cell.
-fn shrink(image: &CensusImage, width: usize, grey: &mut [u16]) {
-    for (line, grey) in
-        image.smooth.chunks_exact(CELL * image.width).zip(grey.chunks_exact_mut(width))
-    {
-        let middle = line.get(image.width + 1..).unwrap_or_default().iter().step_by(CELL);
+/// The grey value in the middle of every cell, from an image of `image_width` pixels a row.
+pub(super) fn shrink(smooth: &[u16], image_width: usize, width: usize, grey: &mut [u16]) {
+    for (line, grey) in smooth.chunks_exact(CELL * image_width).zip(grey.chunks_exact_mut(width)) {
+        let middle = line.get(image_width + 1..).unwrap_or_default().iter().step_by(CELL);
         grey.iter_mut().zip(middle).for_each(|(grey, smooth)| *grey = *smooth);
     }
 }

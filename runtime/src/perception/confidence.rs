@@ -48,8 +48,14 @@ pub fn of_belief(weights: &[f32; 5], belief: &Belief, around: &Surround) -> f32 
     if belief.evidence > 0.0 { logistic(weights, &belief_features(belief, around)) } else { 0.0 }
 }
 
+/// The inverse of the logistic function; probabilities nearer to 0 or 1 than 0.1 % count as 0.1 %.
+pub(super) fn logit(probability: f32) -> f32 {
+    let probability = probability.clamp(0.001, 0.999);
+    (probability / (1.0 - probability)).ln()
+}
+
 #[inline(always)]
-fn logistic<const N: usize>(weights: &[f32; N], features: &[f32; N]) -> f32 {
+pub(super) fn logistic<const N: usize>(weights: &[f32; N], features: &[f32; N]) -> f32 {
     let sum: f32 = weights.iter().zip(features).map(|(weight, feature)| weight * feature).sum();
     1.0 / (1.0 + (-sum).exp())
 }

@@ -72,6 +72,28 @@ hal::settings! {
     }
 }
 
+hal::settings! {
+    /// Dense depth: coarse depth, completed by what was seen before and by the cells around.
+    pub struct DenseConfig {
+        /// Whether dense depth is computed.
+        enabled: bool = true;
+        /// A frame is put into the voxel map when the camera is this far from the last one that was.
+        learn_step_m: f64 = 0.05, in 0.01..=1.0, unit "m";
+        /// Depths with a lower probability of being correct are not put into the voxel map.
+        learn_confidence: f32 = 0.7, in 0.0..=0.99;
+        /// Logistic model of the probability that a recalled depth is correct: weights as in `coarse.belief_weights`.
+        recall_weights: [f32; 5] = [-4.87, 1.86, 0.85, 3.66, 1.65], in -100.0..=100.0,
+            source "cargo xtask accuracy --fit";
+        /// Logistic model where there are coarse and recalled depth: weights of a constant, the logit of the more probable one,
+        /// the logit of the other one when it agrees and when it does not, and the agreement.
+        joint_weights: [f32; 5] = [-0.80, 0.90, 0.39, 0.09, 0.68], in -100.0..=100.0,
+            source "cargo xtask accuracy --fit";
+        /// Logistic model of the probability that a filled depth is correct: weights of a constant, the logarithm of the cost of
+        /// the way from the nearest known cell, and the spread of the values from all sides.
+        fill_weights: [f32; 3] = [1.85, -0.65, -4.48], in -100.0..=100.0, source "cargo xtask accuracy --fit";
+    }
+}
+
 /// Why the engine cannot work with its configuration or its input.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]

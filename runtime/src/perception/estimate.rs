@@ -52,3 +52,11 @@ pub enum NoDepth {
     /// The network failed, or its output contains NaN or values out of range.
     NetworkOutput,
 }
+
+impl NoDepth {
+    /// Whether there is an image at a known pose, so that depth may be recalled and filled in.
+    #[must_use]
+    pub fn has_image(self) -> bool {
+        matches!(self, Self::FirstFrame | Self::TooLittleParallax)
+    }
+}

@@ -11,6 +11,8 @@
 //! - **Belief**: the depth of a cell as accumulated from the votes of all frames so far ([`Belief`]).
 //! - **Evidence**: the strength of a belief, the sum of the confidence of agreeing votes less that of contradicting ones.
 //! - **Confidence**: the probability that a vote, a belief or a depth is right, that is, within 25 % of the true depth.
+//! - **Voxel map**: sparse memory of the surfaces that were seen with confidence; depth of any view is *recalled* from it.
+//! - **Dense depth**: coarse depth, completed by recalled depth and by filling ([`DenseDepth`]).
 //! - **Motion mask**: the cells whose content moves relative to the static scene; they get no depth.
 
 mod aggregate;
@@ -19,7 +21,9 @@ mod census;
 mod coarse;
 pub mod confidence;
 mod config;
+pub mod dense;
 mod estimate;
+pub mod fill;
 pub mod flow;
 mod frame_motion;
 mod fusion;
@@ -34,11 +38,13 @@ mod sweep;
 #[cfg(test)]
 mod test_scene;
 mod upsample;
+mod voxel_map;
 mod wta;
 
 pub use belief::Belief;
 pub use coarse::CoarseDepth;
-pub use config::{CoarseConfig, PerceptionError};
+pub use config::{CoarseConfig, DenseConfig, PerceptionError};
+pub use dense::{DenseDepth, DenseSource};
 pub use estimate::{DepthEstimate, NoDepth};
 pub use network::{DepthNetwork, InputKind, NetworkError, NetworkOptions, Provider};
 pub use rotation_filter::YawError;

@@ -38,6 +38,11 @@ pub(super) struct Moved {
 }
 
 impl Moved {
+    /// How each section moved: `new = correction * old`.
+    pub(super) fn corrections(&self) -> &[Pose2] {
+        &self.corrections
+    }
+
     /// Where a place of the old map is in the new one: it moves with the section that shows it.
     pub(super) fn place(&self, map: &OccupancyGrid, place_m: [f64; 2]) -> [f64; 2] {
         let candidates = self.corrections.iter().enumerate().rev();

@@ -23,7 +23,8 @@ use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
 use crate::localization::{LocalizationConfig, LocalizationError, Whereabouts};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{
-    CoarseConfig, CoarseDepth, DepthEstimate, DepthNetwork, NoDepth, PerceptionError,
+    CoarseConfig, CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, NoDepth,
+    PerceptionError,
 };
 use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
@@ -95,6 +96,8 @@ pub struct RobotConfig {
     pub depth_source: DepthSource,
     /// Section `[coarse]`: coarse depth.
     pub coarse: CoarseConfig,
+    /// Section `[dense]`: dense depth.
+    pub dense: DenseConfig,
     /// Section `[map]`.
     pub map: MapConfig,
     /// Section `[planning]`: costs and search.
@@ -135,6 +138,8 @@ pub enum RobotError {
 pub enum Stage {
     /// Coarse depth.
     Coarse,
+    /// Dense depth.
+    Dense,
     /// The depth network.
     Network,
     /// The map.
@@ -159,6 +164,7 @@ impl StageTimer for () {
 pub struct Robot {
     config: RobotConfig,
     coarse: CoarseDepth,
+    dense: DenseDepth,
     network: Option<DepthNetwork>,
     truth: DepthEstimate,
     has_depth: HasDepth,
@@ -187,6 +193,7 @@ pub struct Robot {
 #[derive(Debug, Clone, Copy, Default)]
 struct HasDepth {
     coarse: bool,
+    dense: bool,
     network: bool,
     truth: bool,
 }
@@ -201,8 +208,12 @@ impl Robot {
             return Err(RobotError::NoModel);
         }
         let rng = Pcg64Mcg::seed_from_u64(config.seed);
+        let coarse = CoarseDepth::new(config.coarse.clone(), config.camera)?;
+        let mount = Some(&config.t_base_camera);
+        let dense = DenseDepth::new(config.dense.clone(), &config.camera, &coarse, mount);
         Ok(Self {
-            coarse: CoarseDepth::new(config.coarse.clone(), config.camera)?,
+            coarse,
+            dense,
             network,
             truth: DepthEstimate::none(config.camera.width, config.camera.height),
             has_depth: HasDepth::default(),
@@ -405,11 +416,14 @@ impl Robot {
             return;
         };
         self.ticks_without_frame = 0;
-        let coarse = self.coarse.estimate(frame, t_odom_camera);
+        let coarse = self.coarse.estimate(frame, t_odom_camera).map(|_| ());
         timer.ended(Stage::Coarse);
         self.has_depth.coarse = coarse.is_ok();
+        self.has_depth.dense = self.complete(coarse);
+        timer.ended(Stage::Dense);
         if let Some(network) = &mut self.network {
-            let result = network.estimate(frame, t_odom_camera, coarse.as_ref().ok().copied());
+            let coarse = self.has_depth.coarse.then(|| self.coarse.last());
+            let result = network.estimate(frame, t_odom_camera, coarse);
             timer.ended(Stage::Network);
             self.has_depth.network = result.is_ok();
             if let Err(why) = result {
@@ -418,6 +432,16 @@ impl Robot {
         } else if let Err(why) = coarse {
             events.push(Event::NoDepth { why });
         }
+    }
+
+    /// Completes this frame's coarse depth, or its lack of parallax. Whether there is dense depth.
+    fn complete(&mut self, coarse: Result<(), NoDepth>) -> bool {
+        let has_image = coarse.map_or_else(NoDepth::has_image, |()| true);
+        let completes = has_image && self.config.dense.enabled;
+        if completes {
+            self.dense.complete(&self.coarse, &self.poses.t_map_odom, self.map.section());
+        }
+        completes
     }
 
     fn find_camera_time(&mut self, input: &TickInput<'_>) {
@@ -461,6 +485,12 @@ impl Robot {
     #[must_use]
     pub fn coarse_depth(&self) -> Option<&DepthEstimate> {
         self.has_depth.coarse.then(|| self.coarse.last())
+    }
+
+    /// Dense depth of this tick.
+    #[must_use]
+    pub fn dense_depth(&self) -> Option<&DepthEstimate> {
+        self.has_depth.dense.then(|| self.dense.last())
     }
 
     /// The network's depth of this tick.
@@ -566,6 +596,7 @@ impl Robot {
                 *place_m = moved.place(map, *place_m);
             }
             self.frame_maps.clear();
+            self.dense.correct(moved.corrections());
         }
         self.poses.t_map_odom = self.map_correction.t_map_odom();
     }
@@ -635,7 +666,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, location, camera_time, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, dense, location, camera_time, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.

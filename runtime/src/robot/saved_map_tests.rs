@@ -30,6 +30,7 @@ fn config() -> RobotConfig {
         seed: 1,
         depth_source: DepthSource::Coarse,
         coarse: CoarseConfig::default(),
+        dense: DenseConfig::default(),
         map: MapConfig { side_cells: 256, recenter_cells: 20, ..MapConfig::default() },
         plan: PlanConfig::default(),
         follower: FollowerConfig::default(),

@@ -12,7 +12,7 @@ use crate::event::{Event, SafetyEvent};
 use crate::exploration::{ExplorationConfig, PolicyKind};
 use crate::localization::LocalizationConfig;
 use crate::mapping::MapConfig;
-use crate::perception::CoarseConfig;
+use crate::perception::{CoarseConfig, DenseConfig};
 use crate::planning::{FollowerConfig, PlanConfig};
 use crate::robot::{DepthSource, RobotConfig, Stage};
 use crate::safety::SentCommand;
@@ -197,6 +197,7 @@ fn robot() -> Robot {
         seed: 1,
         depth_source: DepthSource::Coarse,
         coarse: CoarseConfig::default(),
+        dense: DenseConfig::default(),
         map: MapConfig::default(),
         plan: PlanConfig::default(),
         follower: FollowerConfig::default(),

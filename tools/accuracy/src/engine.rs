@@ -5,12 +5,13 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use firmware_host::config::Config;
-use hal::{CameraModel, ImageView, Pose3};
+use hal::{CameraModel, ImageView, Pose2, Pose3};
 use runtime::perception::flow::{DenseFlow, FlowPreset};
-use runtime::perception::{CoarseDepth, DepthEstimate};
+use runtime::perception::{CoarseDepth, DenseDepth, DepthEstimate};
 
 use crate::flow_network::FlowNetwork;
 use crate::least_squares::{FlowView, triangulate};
+use crate::sequence::Sequence;
 
 /// The paper computes flow from each frame to the fifth before it.
 const GAP: usize = 5;
@@ -64,6 +65,44 @@ impl Engine for Coarse {
         _evaluated: bool,
     ) -> Result<Option<DepthEstimate>> {
         Ok(self.engine.estimate(frame, pose).ok().cloned())
+    }
+}
+
+/// Dense depth: coarse depth, completed by the voxel map and by filling.
+pub struct Dense {
+    name: String,
+    coarse: CoarseDepth,
+    dense: DenseDepth,
+}
+
+impl Dense {
+    /// # Errors
+    /// When a setting is out of range.
+    pub fn new(name: &str, config: &Config, sequence: &Sequence) -> Result<Self> {
+        let camera = sequence.camera;
+        let coarse = CoarseDepth::new(config.coarse.clone(), camera)?;
+        let mount = sequence.mount.as_ref();
+        let dense = DenseDepth::new(config.dense.clone(), &camera, &coarse, mount);
+        Ok(Self { name: name.replace("coarse", "dense"), coarse, dense })
+    }
+}
+
+impl Engine for Dense {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn process(
+        &mut self,
+        frame: ImageView<'_>,
+        pose: &Pose3,
+        _evaluated: bool,
+    ) -> Result<Option<DepthEstimate>> {
+        match self.coarse.estimate(frame, pose) {
+            Err(why) if !why.has_image() => return Ok(None),
+            _ => self.dense.complete(&self.coarse, &Pose2::IDENTITY, 0),
+        }
+        Ok(Some(self.dense.last().clone()))
     }
 }
 

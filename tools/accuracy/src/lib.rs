@@ -2,6 +2,7 @@
 //! used for evaluation only. `cargo xtask accuracy` prints the table.
 #![forbid(unsafe_code)]
 
+pub mod dense_fit;
 pub mod disturbance;
 pub mod engine;
 pub mod fit;

@@ -4,8 +4,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use accuracy::dense_fit;
 use accuracy::disturbance::Disturbance;
-use accuracy::engine::{Coarse, Engine, FlowDepth};
+use accuracy::engine::{Coarse, Dense, Engine, FlowDepth};
 use accuracy::fit::Samples;
 use accuracy::measure::{Outcome, measure};
 use accuracy::sequence::{Motion, Sequence, recorded, simulated};
@@ -42,6 +43,9 @@ struct Options {
     /// Fit the confidence instead, and print its weights for the `[coarse]` section of the configuration.
     #[arg(long)]
     fit: bool,
+    /// Fit the probabilities of dense depth only, for the `[dense]` section.
+    #[arg(long)]
+    fit_dense: bool,
     /// Configurations to compare; without any, the default configuration.
     #[arg(long = "config")]
     configs: Vec<PathBuf>,
@@ -69,21 +73,31 @@ fn main() -> Result<()> {
     if configs.is_empty() {
         configs.push(("coarse".to_owned(), Config::default()));
     }
+    if options.fit_dense {
+        return fit_dense(&sequences, &configs[0].1);
+    }
     if options.fit {
         return fit(&sequences, &configs[0].1);
     }
     println!("{}", Outcome::head());
     for (name, config) in &configs {
-        compare(&options, &sequences, options.out.as_deref(), |camera| {
-            Ok(Box::new(Coarse::new(name, config, camera)?))
+        compare(&options, &sequences, options.out.as_deref(), |sequence| {
+            Ok(Box::new(Coarse::new(name, config, sequence.camera)?))
+        })?;
+    }
+    for (name, config) in &configs {
+        compare(&options, &sequences, None, |sequence| {
+            Ok(Box::new(Dense::new(name, config, sequence)?))
         })?;
     }
     if options.search {
-        compare(&options, &sequences, None, |camera| Ok(Box::new(FlowDepth::search(camera)?)))?;
+        compare(&options, &sequences, None, |sequence| {
+            Ok(Box::new(FlowDepth::search(sequence.camera)?))
+        })?;
     }
     if let Some(model) = &options.flow_model {
-        compare(&options, &sequences, None, |camera| {
-            Ok(Box::new(FlowDepth::network(model, camera)?))
+        compare(&options, &sequences, None, |sequence| {
+            Ok(Box::new(FlowDepth::network(model, sequence.camera)?))
         })?;
     }
     if let Some(folder) = &options.out {
@@ -114,13 +128,13 @@ fn compare(
     options: &Options,
     sequences: &[Sequence],
     out: Option<&Path>,
-    engine: impl Fn(CameraModel) -> Result<Box<dyn Engine>>,
+    engine: impl Fn(&Sequence) -> Result<Box<dyn Engine>>,
 ) -> Result<()> {
     let disturbances = if options.undisturbed { &Disturbance::ALL[..1] } else { &Disturbance::ALL };
     let mut all = Vec::new();
     for sequence in sequences {
         for disturbance in disturbances {
-            let mut engine = engine(sequence.camera)?;
+            let mut engine = engine(sequence)?;
             let sheet = out.filter(|_| *disturbance == Disturbance::None);
             let outcome =
                 measure(sequence, *disturbance, engine.as_mut(), options.every.max(1), sheet)?;
@@ -155,6 +169,15 @@ fn fit(sequences: &[Sequence], config: &Config) -> Result<()> {
         (belief.evidence > 0.0).then(|| (belief_features(belief, around), belief.inverse_depth))
     })?;
     println!("belief_weights = {:.2?}", coarse.belief_weights);
+    fit_dense(sequences, config)
+}
+
+/// Fits dense depth, with the coarse depth of the configuration.
+fn fit_dense(sequences: &[Sequence], config: &Config) -> Result<()> {
+    let dense = dense_fit::fit(sequences, &config.coarse, &config.dense)?;
+    println!("[dense]\nrecall_weights = {:.2?}", dense.recall_weights);
+    println!("joint_weights = {:.2?}", dense.joint_weights);
+    println!("fill_weights = {:.2?}", dense.fill_weights);
     Ok(())
 }
 

@@ -41,7 +41,7 @@ impl Outcome {
     #[must_use]
     pub fn head() -> String {
         format!(
-            "| {:<44} | {:<10} | {:>5} | {:>6} | {:>5} | {:>5} | {:>6} | {:>5} | {:>8} | {:>5} | {:>7} |\n|{}|",
+            "| {:<44} | {:<10} | {:>5} | {:>6} | {:>5} | {:>5} | {:>6} | {:>5} | {:>5} | {:>8} | {:>5} | {:>7} |\n|{}|",
             "sequence",
             "engine",
             "all",
@@ -50,10 +50,11 @@ impl Outcome {
             "half",
             "scaled",
             "share",
+            "right",
             "constant",
             "calib",
             "ms",
-            "---|".repeat(10) + "---",
+            "---|".repeat(11) + "---",
         )
     }
 
@@ -62,7 +63,7 @@ impl Outcome {
         let all = &self.all;
         let half = &self.half;
         format!(
-            "| {:<44} | {:<10} | {:.3} | {:>6.3} | {:.3} | {:.3} | {:>6.3} | {:.3} | {:>8.3} | {:.3} | {:>7.2} |",
+            "| {:<44} | {:<10} | {:.3} | {:>6.3} | {:.3} | {:.3} | {:>6.3} | {:.3} | {:.3} | {:>8.3} | {:.3} | {:>7.2} |",
             self.name,
             self.engine,
             all.delta1_unscaled,
@@ -71,6 +72,7 @@ impl Outcome {
             half.delta1_unscaled,
             half.delta1,
             half.share,
+            all.right,
             self.constant,
             self.calibration,
             1e3 * self.median_s,
@@ -119,6 +121,7 @@ fn mean_metrics(rows: &[&Outcome], metrics: fn(&Outcome) -> &Metrics) -> Metrics
     let mut mean = Metrics::default();
     for metrics in rows.iter().map(|row| metrics(row)) {
         mean.share += metrics.share / rows.len() as f64;
+        mean.right += metrics.right / rows.len() as f64;
         mean.delta1 += metrics.delta1 / rows.len() as f64;
         mean.delta1_unscaled += metrics.delta1_unscaled / rows.len() as f64;
     }

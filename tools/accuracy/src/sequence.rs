@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use firmware_host::config::Config;
+use firmware_host::config::{Config, Odometry};
 use firmware_host::dataset::Dataset;
 use firmware_host::setup::Mission;
 use firmware_host::simulation;
@@ -35,6 +35,8 @@ pub struct Sequence {
     pub name: String,
     /// Camera model of all frames.
     pub camera: CameraModel,
+    /// Pose of the camera on a robot that stands on a floor; `None` for a handheld camera.
+    pub mount: Option<Pose3>,
     /// The frames in the order of time.
     pub views: Vec<View>,
 }
@@ -88,6 +90,8 @@ pub fn simulated(
 ) -> Result<Sequence> {
     let mut config = Config::default();
     config.simulator.nuisances.people = people;
+    // The pose of a view is the true pose of its exposure.
+    config.simulator.odometry = Odometry::Perfect;
     let options = simulation::simulated_robot(&config, seed, None);
     let simulated = SimulatedRobot::new(Arc::clone(world), options)?;
     let policy = match motion {
@@ -115,7 +119,7 @@ pub fn simulated(
         session.tick(&mut views)?;
     }
     let name = format!("{}, {}", short(world.name()), motion.name());
-    Ok(Sequence { name, camera, views: views.views })
+    Ok(Sequence { name, camera, mount: Some(config.camera.mount()), views: views.views })
 }
 
 /// A base that drives another twist than the commanded one.
@@ -192,7 +196,7 @@ pub fn recorded(folder: &Path) -> Result<Sequence> {
     };
     let views = dataset.samples().map(|sample| Ok(view(sample?))).collect::<Result<Vec<_>>>();
     let name = folder.file_name().context("a dataset needs a name")?.to_string_lossy().into_owned();
-    Ok(Sequence { name, camera: *dataset.camera(), views: views? })
+    Ok(Sequence { name, camera: *dataset.camera(), mount: None, views: views? })
 }
 
 fn short(scene: &str) -> String {

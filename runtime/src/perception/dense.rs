@@ -1,0 +1,233 @@
+//! Dense depth: coarse depth, completed by what was seen before and by the cells around.
+//!
+//! Every cell of 4x4 pixels takes the most probable of three: coarse depth of this frame, the depth that the voxel map recalls
+//! ([`VoxelMap`]), and a depth that is filled in from the cells around ([`Fill`]). Where coarse depth and the voxel map agree, the
+//! probability of both rises.
+//!
+//! The map does not use recalled and filled depth: it knows already what was seen before, and a filled cell was never seen.
+
+use hal::{CameraModel, Pose2, Pose3};
+
+use super::DepthEstimate;
+use super::belief::{AGREEMENT, Belief};
+use super::coarse::{CoarseDepth, SeenCells, shrink};
+use super::confidence::{belief_features, logistic, logit};
+use super::config::DenseConfig;
+use super::fill::{Fill, Filled};
+use super::surround::{Surround, Surroundings};
+use super::upsample::Cells;
+use super::voxel_map::{Seen, VoxelMap};
+use crate::snapshot::remembers;
+
+/// A cell with a lower probability than this is filled from the cells around it, and does not fill others.
+const KNOWN: f32 = 0.5;
+/// Every cell with depth has at least this probability: the upsampling leaves out what has less.
+const LEAST: f32 = 0.02;
+
+/// Where the depth of a cell comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum DenseSource {
+    /// There is none.
+    #[default]
+    None,
+    /// Coarse depth of this frame.
+    Coarse,
+    /// The voxel map.
+    Recalled,
+    /// The cells around.
+    Filled,
+}
+
+/// A cell before its source was chosen, for the fit of the probabilities.
+#[derive(Debug, Clone, Copy)]
+pub struct Candidates {
+    /// Coarse depth and its probability.
+    pub coarse: (Belief, f32),
+    /// Recalled depth, its neighbourhood and its probability.
+    pub recalled: (Belief, Surround, f32),
+    /// Filled depth.
+    pub filled: Filled,
+}
+
+/// Completes coarse depth.
+#[derive(Debug)]
+pub struct DenseDepth {
+    config: DenseConfig,
+    /// The camera whose pixels are the cells.
+    cells: CameraModel,
+    voxels: VoxelMap,
+    fill: Fill,
+    /// `t_map_camera` of the last frame that was learnt.
+    learnt_at: Option<Pose3>,
+    around_recalled: Surroundings,
+    coarse: Vec<(Belief, f32)>,
+    recalled: Vec<f32>,
+    joined: Vec<Belief>,
+    confidence: Vec<f32>,
+    source: Vec<DenseSource>,
+    grey: Vec<u16>,
+    estimate: DepthEstimate,
+}
+
+impl DenseDepth {
+    /// Prepares to complete `coarse`, the depth of frames of `camera`. `t_base_camera` is the camera's mount on a robot that stands on
+    /// a floor; without it, rows that were never seen have no depth.
+    #[must_use]
+    pub fn new(
+        config: DenseConfig,
+        camera: &CameraModel,
+        coarse: &CoarseDepth,
+        t_base_camera: Option<&Pose3>,
+    ) -> Self {
+        let cells = *coarse.cell_camera();
+        let count = cells.width * cells.height;
+        Self {
+            config,
+            voxels: VoxelMap::default(),
+            fill: t_base_camera.map_or_else(Fill::default, |mount| Fill::on_a_floor(&cells, mount)),
+            learnt_at: None,
+            around_recalled: Surroundings::default(),
+            coarse: vec![(Belief::default(), 0.0); count],
+            recalled: vec![0.0; count],
+            joined: vec![Belief::default(); count],
+            confidence: vec![0.0; count],
+            source: vec![DenseSource::None; count],
+            grey: vec![0; count],
+            estimate: DepthEstimate::none(camera.width, camera.height),
+            cells,
+        }
+    }
+
+    /// Completes the last frame of `coarse`, which must have been a frame with texture. `section` is the section of the path that
+    /// the robot is in; a closed loop moves what was seen in a section together ([`correct`](Self::correct)).
+    pub fn complete(&mut self, coarse: &CoarseDepth, t_map_odom: &Pose2, section: u16) {
+        let seen = coarse.seen();
+        let t_map_camera = t_map_odom.to_pose3() * seen.pose;
+        self.choose(&seen, &t_map_camera);
+        self.fill_holes(&seen);
+        self.learn(&seen, t_map_camera, section);
+        let cells = Cells {
+            width: self.cells.width,
+            beliefs: &self.joined,
+            confidence: &self.confidence,
+            grey: &self.grey,
+            min_confidence: LEAST,
+        };
+        cells.upsample(seen.smooth, &mut self.estimate);
+    }
+
+    /// The result of the last [`complete`](Self::complete).
+    #[must_use]
+    pub fn last(&self) -> &DepthEstimate {
+        &self.estimate
+    }
+
+    /// The source of the depth of every cell of 4x4 pixels, row-major.
+    #[must_use]
+    pub fn sources(&self) -> &[DenseSource] {
+        &self.source
+    }
+
+    /// What every cell could have been, row-major; `cargo xtask accuracy --fit` fits the probabilities with it.
+    pub fn candidates(&self) -> impl Iterator<Item = Candidates> {
+        let recalled = self.voxels.last().iter().zip(self.around_recalled.last());
+        let recalled =
+            recalled.zip(&self.recalled).map(|((belief, around), p)| (*belief, *around, *p));
+        let filled = self.fill.last().iter().copied();
+        let all = self.coarse.iter().zip(recalled).zip(filled);
+        all.map(|((coarse, recalled), filled)| Candidates { coarse: *coarse, recalled, filled })
+    }
+
+    /// Moves what was seen in each section after a loop was closed: `new = correction * old`, in the frame `map`.
+    pub(crate) fn correct(&mut self, corrections: &[Pose2]) {
+        self.voxels.correct(corrections);
+        self.learnt_at = None;
+    }
+
+    /// Takes the more probable of coarse and recalled depth for every cell.
+    fn choose(&mut self, seen: &SeenCells<'_>, t_map_camera: &Pose3) {
+        let recalled = self.voxels.recall(t_map_camera, &self.cells);
+        let around = self.around_recalled.update(recalled, self.cells.width);
+        for cell in 0..self.joined.len() {
+            let coarse = seen.beliefs.get(cell).copied().unwrap_or_default();
+            let p_coarse = seen.confidence[cell];
+            let old = recalled[cell];
+            let p_old = if old.evidence > 0.0 {
+                logistic(&self.config.recall_weights, &belief_features(&old, &around[cell]))
+            } else {
+                0.0
+            };
+            self.coarse[cell] = (coarse, p_coarse);
+            self.recalled[cell] = p_old;
+            let (belief, confidence, source) = if p_coarse >= p_old {
+                (coarse, p_coarse, DenseSource::Coarse)
+            } else {
+                (old, p_old, DenseSource::Recalled)
+            };
+            let is_known = confidence >= KNOWN;
+            let both = p_coarse > 0.0 && p_old > 0.0;
+            self.joined[cell] = if is_known { belief } else { Belief::default() };
+            self.source[cell] = if is_known { source } else { DenseSource::None };
+            self.confidence[cell] = match (is_known, both) {
+                (false, _) => 0.0,
+                (true, false) => confidence,
+                (true, true) => {
+                    let other = p_coarse.min(p_old);
+                    let agree = agree(coarse.inverse_depth, old.inverse_depth);
+                    logistic(&self.config.joint_weights, &joint_features(confidence, other, agree))
+                }
+            };
+        }
+    }
+
+    /// Fills the cells that are not known.
+    fn fill_holes(&mut self, seen: &SeenCells<'_>) {
+        shrink(seen.smooth, self.estimate.depth.width(), self.cells.width, &mut self.grey);
+        let filled = self.fill.fill(&self.joined, &self.grey, self.cells.width);
+        for (cell, filled) in filled.iter().enumerate() {
+            if self.source[cell] != DenseSource::None || filled.inverse_depth == 0.0 {
+                continue;
+            }
+            self.joined[cell].inverse_depth = filled.inverse_depth;
+            let confidence = logistic(&self.config.fill_weights, &filled.features());
+            self.confidence[cell] = confidence.max(LEAST);
+            self.source[cell] = DenseSource::Filled;
+        }
+    }
+
+    /// Puts a matched frame into the voxel map when the robot has moved.
+    fn learn(&mut self, seen: &SeenCells<'_>, t_map_camera: Pose3, section: u16) {
+        let has_moved = self.learnt_at.is_none_or(|at| {
+            let step = at.inverse() * t_map_camera;
+            step.translation.vector.norm() >= self.config.learn_step_m
+        });
+        if !has_moved || !seen.is_matched {
+            return;
+        }
+        self.learnt_at = Some(t_map_camera);
+        let seen = Seen {
+            beliefs: seen.beliefs,
+            confidence: seen.confidence,
+            around: seen.surroundings,
+            min_confidence: self.config.learn_confidence,
+        };
+        self.voxels.learn(seen, &t_map_camera, &self.cells, section);
+    }
+}
+
+/// Whether two inverse depths are of one surface.
+#[must_use]
+pub fn agree(a: f32, b: f32) -> bool {
+    (a - b).abs() <= AGREEMENT * a.max(b)
+}
+
+/// The features of the probability of a depth for which there is a second, less probable one: a constant, the logit of both, once
+/// for a second one that agrees and once for one that does not, and the agreement.
+#[must_use]
+pub fn joint_features(confidence: f32, other: f32, agree: bool) -> [f32; 5] {
+    let other = logit(other);
+    let [for_it, against] = if agree { [other, 0.0] } else { [0.0, other] };
+    [1.0, logit(confidence), for_it, against, f32::from(u8::from(agree))]
+}
+
+remembers!(DenseDepth: voxels, fill, learnt_at);

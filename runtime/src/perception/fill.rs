@@ -1,0 +1,162 @@
+//! Fills the cells without depth from the cells around them, guided by the image.
+//!
+//! From four sides, the nearest known inverse depth is carried into the hole; each step costs more the more the brightness changes,
+//! because surfaces end where it does. The four are averaged by their cost. Floors and ceilings have one inverse depth along a row,
+//! walls have one along a column. A row that was never seen takes the mean of what the camera saw in that row before.
+
+use hal::{CameraModel, Pose3};
+use nalgebra::Vector3;
+
+use super::belief::Belief;
+use crate::snapshot::remembers;
+
+/// Cost of one step over an image without edges.
+const STEP: f32 = 1.0;
+/// Cost of a change of brightness by one grey level, steps.
+const PER_GREY: f32 = 0.5;
+/// Cost of a value from the mean of the row.
+const ROW_COST: f32 = 40.0;
+/// The mean of a row follows its newest values with this share.
+const ROW_SHARE: f32 = 0.02;
+
+/// Height of a ceiling above the floor, metres, before any was seen: most homes have 2.4 to 2.6 m.
+const CEILING_M: f64 = 2.5;
+/// Distance of a wall before any was seen, metres.
+const WALL_M: f64 = 3.0;
+
+/// A cell that was filled.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Filled {
+    /// Inverse depth, 1/m; 0: nothing was known anywhere.
+    pub inverse_depth: f32,
+    /// Cost of the way from the nearest known cell, steps.
+    pub cost: f32,
+    /// How much the values from the four sides differ: their mean deviation as a share of their mean.
+    pub spread: f32,
+}
+
+impl Filled {
+    /// The features of the probability that it is right: a constant, the logarithm of the cost, and the spread.
+    #[must_use]
+    pub fn features(&self) -> [f32; 3] {
+        [1.0, (1.0 + self.cost).ln(), self.spread]
+    }
+}
+
+/// The value that is carried along a line.
+#[derive(Debug, Clone, Copy, Default)]
+struct Carried {
+    inverse_depth: f32,
+    cost: f32,
+}
+
+/// Fills cells; remembers the mean inverse depth of every row of the image.
+#[derive(Debug, Default)]
+pub struct Fill {
+    rows: Vec<f32>,
+    sides: [Vec<Carried>; 4],
+    filled: Vec<Filled>,
+}
+
+impl Fill {
+    /// Begins with a floor, a ceiling and a wall, for a camera mounted at `t_base_camera` on a robot that stands on the floor.
+    pub fn on_a_floor(cells: &CameraModel, t_base_camera: &Pose3) -> Self {
+        let height_m = t_base_camera.translation.z;
+        let rows = (0..cells.height).map(|row| {
+            let down = (row as f64 - cells.cy) / cells.fy;
+            let up = (t_base_camera.rotation * Vector3::new(0.0, down, 1.0)).z;
+            let level =
+                if up < 0.0 { -up / height_m } else { up / (CEILING_M - height_m).max(0.5) };
+            level.max(1.0 / WALL_M) as f32
+        });
+        Self { rows: rows.collect(), ..Self::default() }
+    }
+
+    /// The result of the last [`fill`](Self::fill).
+    pub fn last(&self) -> &[Filled] {
+        &self.filled
+    }
+
+    /// Fills all cells of `known` (rows of `width` cells) without inverse depth. `grey` is the brightness of the cells, 256 to a
+    /// grey level.
+    pub fn fill(&mut self, known: &[Belief], grey: &[u16], width: usize) -> &[Filled] {
+        let height = known.len() / width;
+        self.learn_rows(known, width);
+        for side in &mut self.sides {
+            side.clear();
+            side.resize(known.len(), Carried::default());
+        }
+        let [right, left, down, up] = &mut self.sides;
+        for row in 0..height {
+            let line = row * width..(row + 1) * width;
+            carry(right, known, grey, line.clone());
+            carry(left, known, grey, line.rev());
+        }
+        for column in 0..width {
+            let line = (column..known.len()).step_by(width);
+            carry(down, known, grey, line.clone());
+            carry(up, known, grey, line.rev());
+        }
+        self.filled.clear();
+        for cell in 0..known.len() {
+            let sides = [right[cell], left[cell], down[cell], up[cell]];
+            self.filled.push(blend(sides, self.rows.get(cell / width).copied().unwrap_or(0.0)));
+        }
+        &self.filled
+    }
+
+    fn learn_rows(&mut self, known: &[Belief], width: usize) {
+        self.rows.resize(known.len() / width, 0.0);
+        for (mean, line) in self.rows.iter_mut().zip(known.chunks_exact(width)) {
+            let cells = line.iter().filter(|belief| belief.inverse_depth > 0.0);
+            let (sum, count) = cells
+                .fold((0.0, 0), |(sum, count), belief| (sum + belief.inverse_depth, count + 1));
+            if count * 4 > width {
+                let value = sum / count as f32;
+                *mean = if *mean > 0.0 { *mean + (value - *mean) * ROW_SHARE } else { value };
+            }
+        }
+    }
+}
+
+fn carry(side: &mut [Carried], known: &[Belief], grey: &[u16], line: impl Iterator<Item = usize>) {
+    let mut carried = Carried::default();
+    let mut before: Option<usize> = None;
+    for cell in line {
+        if known[cell].inverse_depth > 0.0 {
+            carried = Carried { inverse_depth: known[cell].inverse_depth, cost: 0.0 };
+        } else if let Some(before) = before {
+            let change = (f32::from(grey[cell]) - f32::from(grey[before])).abs() / 256.0;
+            carried.cost += STEP + PER_GREY * change;
+        }
+        side[cell] = carried;
+        before = Some(cell);
+    }
+}
+
+fn blend(sides: [Carried; 4], row: f32) -> Filled {
+    let mut weights = 0.0;
+    let mut mean = 0.0;
+    let mut least = f32::INFINITY;
+    let from_row = Carried { inverse_depth: row, cost: ROW_COST };
+    let all = sides.into_iter().chain([from_row]).filter(|side| side.inverse_depth > 0.0);
+    for side in all.clone() {
+        let weight = weight_of(side.cost);
+        weights += weight;
+        mean += weight * side.inverse_depth;
+        least = least.min(side.cost);
+    }
+    if weights == 0.0 {
+        return Filled::default();
+    }
+    let inverse_depth = mean / weights;
+    let deviation: f32 =
+        all.map(|side| weight_of(side.cost) * (side.inverse_depth - inverse_depth).abs()).sum();
+    Filled { inverse_depth, cost: least, spread: deviation / weights / inverse_depth }
+}
+
+fn weight_of(cost: f32) -> f32 {
+    1.0 / ((cost + STEP) * (cost + STEP))
+}
+
+remembers!(Fill: rows);

@@ -1,0 +1,102 @@
+//! Fits the probabilities of dense depth.
+
+use anyhow::Result;
+use hal::{CameraModel, ImageView, Pose2};
+use runtime::perception::confidence::belief_features;
+use runtime::perception::dense::{Candidates, agree, joint_features};
+use runtime::perception::{CoarseConfig, CoarseDepth, DenseConfig, DenseDepth};
+
+use crate::disturbance::Disturbance;
+use crate::fit::Samples;
+use crate::sequence::Sequence;
+
+/// Fits recalled depth first, then, with these weights, what follows from it.
+///
+/// # Errors
+/// When the sequences do not determine the weights.
+pub fn fit(
+    sequences: &[Sequence],
+    coarse: &CoarseConfig,
+    dense: &DenseConfig,
+) -> Result<DenseConfig> {
+    let mut dense = dense.clone();
+    dense.recall_weights = fit_part(sequences, coarse, &dense, |cell, is_right| {
+        let (belief, around, probability) = cell.recalled;
+        (probability > 0.0)
+            .then(|| (belief_features(&belief, &around), is_right(belief.inverse_depth)))
+    })?;
+    dense.joint_weights = fit_part(sequences, coarse, &dense, |cell, is_right| {
+        let (coarse, p_coarse) = cell.coarse;
+        let (recalled, _, p_recalled) = cell.recalled;
+        let both = p_coarse > 0.0 && p_recalled > 0.0 && p_coarse.max(p_recalled) >= 0.5;
+        both.then(|| {
+            let agree = agree(coarse.inverse_depth, recalled.inverse_depth);
+            let features =
+                joint_features(p_coarse.max(p_recalled), p_coarse.min(p_recalled), agree);
+            let chosen = if p_coarse >= p_recalled { coarse } else { recalled };
+            (features, is_right(chosen.inverse_depth))
+        })
+    })?;
+    dense.fill_weights = fit_part(sequences, coarse, &dense, |cell, is_right| {
+        let is_hole = cell.coarse.1.max(cell.recalled.2) < 0.5 && cell.filled.inverse_depth > 0.0;
+        is_hole.then(|| (cell.filled.features(), is_right(cell.filled.inverse_depth)))
+    })?;
+    Ok(dense)
+}
+
+type IsRight<'a> = &'a dyn Fn(f32) -> bool;
+
+fn fit_part<const N: usize>(
+    sequences: &[Sequence],
+    coarse: &CoarseConfig,
+    dense: &DenseConfig,
+    sample: impl Fn(&Candidates, IsRight<'_>) -> Option<([f32; N], bool)>,
+) -> Result<[f32; N]> {
+    let mut all = Samples::<N>::default();
+    for sequence in sequences {
+        for disturbance in [Disturbance::None, Disturbance::Pose] {
+            all.add_sequence(samples(sequence, disturbance, coarse, dense, &sample)?);
+        }
+    }
+    Ok(all.fit()?.map(|weight| weight as f32))
+}
+
+fn samples<const N: usize>(
+    sequence: &Sequence,
+    disturbance: Disturbance,
+    coarse: &CoarseConfig,
+    dense: &DenseConfig,
+    sample: &impl Fn(&Candidates, IsRight<'_>) -> Option<([f32; N], bool)>,
+) -> Result<Samples<N>> {
+    let mut samples = Samples::default();
+    let CameraModel { width, height, .. } = sequence.camera;
+    let columns = width / 4;
+    let mut engine = CoarseDepth::new(coarse.clone(), sequence.camera)?;
+    let mut dense =
+        DenseDepth::new(dense.clone(), &sequence.camera, &engine, sequence.mount.as_ref());
+    for (index, view) in sequence.views.iter().enumerate() {
+        let (rgb, pose) = disturbance.apply(index, view);
+        let frame = ImageView::rgb8(width, height, &rgb)?;
+        if engine.estimate(frame, &pose).is_err_and(|why| !why.has_image()) {
+            continue;
+        }
+        dense.complete(&engine, &Pose2::IDENTITY, 0);
+        let Some(truth) = &view.truth else { continue };
+        // Neighbouring cells are correlated: every seventeenth is enough.
+        for (cell, candidates) in dense.candidates().enumerate().skip(index % 17).step_by(17) {
+            let row = cell / columns * 4 + 1;
+            let column = cell % columns * 4 + 1;
+            let truth_m = truth.values()[row * width + column];
+            let is_right = |inverse_depth: f32| {
+                let ratio = inverse_depth * truth_m;
+                ratio > 0.8 && ratio < 1.25
+            };
+            if truth_m > 0.0
+                && let Some((features, right)) = sample(&candidates, &is_right)
+            {
+                samples.add(features, right);
+            }
+        }
+    }
+    Ok(samples)
+}
