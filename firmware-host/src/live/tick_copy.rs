@@ -99,10 +99,8 @@ impl Copies {
             let rgb = view.data().to_vec();
             copy.frame = Some(RgbImage { width: view.width(), height: view.height(), rgb });
         }
-        if let Some(depth) = robot.mapped_depth().filter(|_| self.hub.wants(Topic::Depth))
-            && self.depth.is_due(at)
-        {
-            copy.depth = Some(depth.depth.clone());
+        if self.hub.wants(Topic::Depth) && robot.has_depth() && self.depth.is_due(at) {
+            copy.depth = robot.shown_depth();
         }
         if self.hub.wants(Topic::Events) {
             copy.events.clone_from(&decision.events);

@@ -341,7 +341,7 @@ pub fn recorded_views(robot: &Robot, tick: u64, config: &RecordingSection) -> Vi
     }
     if shows_depth {
         views.path_m = Some(robot.explorer().path_m().to_vec());
-        views.depth = robot.mapped_depth().map(|estimate| estimate.depth.clone());
+        views.depth = robot.shown_depth();
     }
     views
 }

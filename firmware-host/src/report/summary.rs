@@ -347,6 +347,7 @@ mod tests {
             )]),
             accuracy: Some(DepthAccuracy {
                 coarse: Some(AccuracyRows { all: Some(coarse), confident: None }),
+                dense: None,
                 network: None,
                 refined: None,
                 constant: Some(AccuracyRows { all: Some(constant), confident: None }),
@@ -366,7 +367,7 @@ mod tests {
         assert_eq!(value, expected);
         assert_eq!(accuracy["coarse"]["all"]["delta1_unscaled"], 0.84);
         assert_eq!(accuracy["constant"]["all"]["delta1"], 0.65);
-        assert_eq!(accuracy.get("network"), None);
+        assert_eq!((accuracy.get("dense"), accuracy.get("network")), (None, None));
         assert_eq!(accuracy["coarse"].get("confident"), None);
         assert_eq!(serde_json::from_str::<Summary>(&summary.to_json()).unwrap(), summary);
     }

@@ -355,6 +355,7 @@ mod tests {
             latency_ms: BTreeMap::from([(Stage::Total, times), (Stage::Coarse, times)]),
             accuracy: Some(DepthAccuracy {
                 coarse: Some(rows),
+                dense: None,
                 network: Some(rows),
                 refined: Some(metrics(0.71, 0.87)),
                 constant: Some(AccuracyRows { all: Some(metrics(1.0, 0.65)), confident: None }),

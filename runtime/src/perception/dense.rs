@@ -101,11 +101,14 @@ impl DenseDepth {
     /// Completes the last frame of `coarse`, which must have been a frame with texture. `section` is the section of the path that
     /// the robot is in; a closed loop moves what was seen in a section together ([`correct`](Self::correct)).
     pub fn complete(&mut self, coarse: &CoarseDepth, t_map_odom: &Pose2, section: u16) {
-        let seen = coarse.seen();
+        rayon::scope(|_| self.complete_in_pool(&coarse.seen(), t_map_odom, section));
+    }
+
+    fn complete_in_pool(&mut self, seen: &SeenCells<'_>, t_map_odom: &Pose2, section: u16) {
         let t_map_camera = t_map_odom.to_pose3() * seen.pose;
-        self.choose(&seen, &t_map_camera);
-        self.fill_holes(&seen);
-        self.learn(&seen, t_map_camera, section);
+        self.choose(seen, &t_map_camera);
+        self.fill_holes(seen);
+        self.learn(seen, t_map_camera, section);
         let cells = Cells {
             width: self.cells.width,
             beliefs: &self.joined,
@@ -231,3 +234,98 @@ pub fn joint_features(confidence: f32, other: f32, agree: bool) -> [f32; 5] {
 }
 
 remembers!(DenseDepth: voxels, fill, learnt_at);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::CoarseConfig;
+    use crate::perception::test_scene::{depth_m, pose, render};
+    use hal::{ImageView, PixelFormat};
+
+    fn camera() -> CameraModel {
+        CameraModel::pinhole(320, 96, std::f64::consts::FRAC_PI_2)
+    }
+
+    struct Robot {
+        coarse: CoarseDepth,
+        dense: DenseDepth,
+    }
+
+    impl Robot {
+        fn new() -> Self {
+            let coarse = CoarseDepth::new(CoarseConfig::default(), camera()).unwrap();
+            let dense = DenseDepth::new(DenseConfig::default(), &camera(), &coarse, None);
+            Self { coarse, dense }
+        }
+
+        /// Whether the frame had coarse depth.
+        fn look(&mut self, at: &Pose3) -> bool {
+            let image = render(&camera(), at, 1.0, 0.0);
+            let frame = ImageView::new(320, 96, PixelFormat::Gray8, &image).unwrap();
+            let has_coarse = self.coarse.estimate(frame, at).is_ok();
+            self.dense.complete(&self.coarse, &Pose2::IDENTITY, 0);
+            has_coarse
+        }
+
+        /// Share of all pixels that are right within 25 %.
+        fn right(&self, at: &Pose3) -> f64 {
+            let values = self.dense.last().depth.values();
+            let right = values.iter().enumerate().filter(|(index, depth)| {
+                let truth = depth_m(&camera(), at, (index % 320) as f64, (index / 320) as f64);
+                let ratio = f64::from(**depth) / truth;
+                ratio > 0.8 && ratio < 1.25
+            });
+            right.count() as f64 / values.len() as f64
+        }
+    }
+
+    fn drive(robot: &mut Robot) {
+        for step in 0..16 {
+            robot.look(&pose([0.03 * f64::from(step), 0.0, 0.0], 0.0));
+        }
+    }
+
+    #[test]
+    fn every_pixel_has_depth_once_something_was_seen_and_each_has_a_probability() {
+        let mut robot = Robot::new();
+        drive(&mut robot);
+        let estimate = robot.dense.last();
+        assert!(estimate.depth.values().iter().all(|depth| *depth > 0.0 && depth.is_finite()));
+        assert!(estimate.confidence.iter().all(|p| *p > 0.0 && *p < 1.0));
+        let right = robot.right(&pose([0.45, 0.0, 0.0], 0.0));
+        assert!(right > 0.97, "{right}");
+    }
+
+    #[test]
+    fn a_view_that_was_seen_before_is_recalled_after_coarse_depth_has_forgotten_it() {
+        let mut robot = Robot::new();
+        drive(&mut robot);
+        // Twice to the side and back on the spot: coarse depth has forgotten, and no keyframe of the drive is left.
+        let at = |yaw: f64| pose([0.45, 0.0, 0.0], yaw);
+        let steps = (1..=16).chain((0..16).rev());
+        for step in steps.clone().chain(steps) {
+            robot.look(&at(0.06 * f64::from(step)));
+        }
+        robot.look(&at(0.0));
+        let sources = robot.dense.sources();
+        let recalled = sources.iter().filter(|source| **source == DenseSource::Recalled).count();
+        assert!(recalled * 2 > sources.len(), "{recalled}");
+        let right = robot.right(&at(0.0));
+        assert!(right > 0.95, "{right}");
+    }
+
+    #[test]
+    fn a_first_frame_has_no_depth_of_any_kind() {
+        let mut robot = Robot::new();
+        assert!(!robot.look(&pose([0.0; 3], 0.0)));
+        assert!(robot.dense.sources().iter().all(|source| *source == DenseSource::None));
+        assert!(robot.dense.last().depth.values().iter().all(|depth| *depth == 0.0));
+    }
+
+    #[test]
+    fn agreement_of_coarse_and_recalled_depth_raises_the_probability_and_contradiction_lowers_it() {
+        let weights = DenseConfig::default().joint_weights;
+        let p = |agree| logistic(&weights, &joint_features(0.8, 0.7, agree));
+        assert!(p(true) > 0.8 && p(false) < 0.8, "{} {}", p(true), p(false));
+    }
+}

@@ -19,6 +19,18 @@ impl DepthEstimate {
         Self { depth: DepthMap::none(width, height), confidence: vec![0.0; width * height] }
     }
 
+    /// The depth whose confidence is at least `confidence`; 0 elsewhere.
+    #[must_use]
+    pub fn above(&self, confidence: f32) -> DepthMap {
+        let mut depth = self.depth.clone();
+        for (value, own) in depth.values_mut().iter_mut().zip(&self.confidence) {
+            if *own < confidence {
+                *value = 0.0;
+            }
+        }
+        depth
+    }
+
     /// Removes all depth and keeps the allocations.
     pub fn clear(&mut self) {
         self.depth.clear();

@@ -160,3 +160,87 @@ fn weight_of(cost: f32) -> f32 {
 }
 
 remembers!(Fill: rows);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WIDTH: usize = 20;
+    const HEIGHT: usize = 12;
+
+    fn at(row: usize, column: usize) -> usize {
+        row * WIDTH + column
+    }
+
+    fn known(inverse_depth: impl Fn(usize, usize) -> f32) -> Vec<Belief> {
+        let cells = (0..WIDTH * HEIGHT).map(|cell| Belief {
+            inverse_depth: inverse_depth(cell / WIDTH, cell % WIDTH),
+            ..Belief::default()
+        });
+        cells.collect()
+    }
+
+    #[test]
+    fn a_hole_in_a_wall_has_the_depth_of_the_wall() {
+        let is_hole =
+            |row: usize, column: usize| (3..8).contains(&row) && (5..15).contains(&column);
+        let cells = known(|row, column| if is_hole(row, column) { 0.0 } else { 0.4 });
+        let mut fill = Fill::default();
+        let filled = fill.fill(&cells, &[0; WIDTH * HEIGHT], WIDTH);
+        assert!(filled.iter().all(|cell| (cell.inverse_depth - 0.4).abs() < 1e-6));
+        assert!(filled.iter().all(|cell| cell.spread < 1e-6));
+        assert!(filled[at(5, 9)].cost > filled[at(5, 5)].cost);
+        assert_eq!(filled[at(0, 0)].cost, 0.0);
+    }
+
+    #[test]
+    fn a_hole_belongs_to_the_side_from_which_no_edge_of_the_image_separates_it() {
+        // Near on the left, far on the right; the image's edge is right of the hole.
+        let cells = known(|_, column| match column {
+            0..6 => 1.0,
+            6..14 => 0.0,
+            _ => 0.25,
+        });
+        let grey: Vec<u16> =
+            (0..WIDTH * HEIGHT).map(|cell| if cell % WIDTH < 14 { 0 } else { 100 * 256 }).collect();
+        let mut fill = Fill::default();
+        let filled = fill.fill(&cells, &grey, WIDTH);
+        assert!((filled[at(6, 13)].inverse_depth - 1.0).abs() < 0.1, "{:?}", filled[at(6, 13)]);
+        let mut fill = Fill::default();
+        let without_edge = fill.fill(&cells, &[0; WIDTH * HEIGHT], WIDTH);
+        assert!((without_edge[at(6, 13)].inverse_depth - 0.25).abs() < 0.1);
+        assert!(without_edge[at(6, 9)].spread > 0.2);
+    }
+
+    #[test]
+    fn before_anything_was_seen_a_robot_expects_a_floor_and_a_wall_and_another_camera_expects_nothing()
+     {
+        let cells = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
+        let axes = nalgebra::Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
+        let mount = Pose3::from_parts(
+            nalgebra::Translation3::new(0.0, 0.0, 0.5),
+            nalgebra::UnitQuaternion::from_matrix(&axes),
+        );
+        let nothing = known(|_, _| 0.0);
+        let mut fill = Fill::on_a_floor(&cells, &mount);
+        let filled = fill.fill(&nothing, &[0; WIDTH * HEIGHT], WIDTH);
+        // The ray of the lowest row falls by `slope` per metre and meets the floor at depth 0.5 / slope.
+        let slope = (HEIGHT as f64 - 1.0 - cells.cy) / cells.fy;
+        let floor = filled[at(HEIGHT - 1, 3)].inverse_depth;
+        assert!((f64::from(floor) - slope / 0.5).abs() < 1e-6);
+        let wall = filled[at(HEIGHT / 2, 3)].inverse_depth;
+        assert!((f64::from(wall) - 1.0 / WALL_M).abs() < 1e-6);
+        let mut handheld = Fill::default();
+        let none = handheld.fill(&nothing, &[0; WIDTH * HEIGHT], WIDTH);
+        assert!(none.iter().all(|cell| cell.inverse_depth == 0.0));
+    }
+
+    #[test]
+    fn a_row_that_was_seen_often_is_expected_where_nothing_is_known() {
+        let mut fill = Fill::default();
+        let grey = [0; WIDTH * HEIGHT];
+        fill.fill(&known(|row, _| 0.1 + 0.05 * row as f32), &grey, WIDTH);
+        let filled = fill.fill(&known(|_, _| 0.0), &grey, WIDTH);
+        assert!((filled[at(7, 2)].inverse_depth - 0.45).abs() < 1e-6);
+    }
+}

@@ -493,6 +493,22 @@ impl Robot {
         self.has_depth.dense.then(|| self.dense.last())
     }
 
+    /// Whether this tick has depth to show.
+    #[must_use]
+    pub fn has_depth(&self) -> bool {
+        self.has_depth.dense || self.mapped_depth().is_some()
+    }
+
+    /// The depth of this tick to show to a person: dense depth that is right with a probability of 50 % or more. With another depth
+    /// source than coarse depth, and without dense depth, the depth that the map uses.
+    #[must_use]
+    pub fn shown_depth(&self) -> Option<DepthMap> {
+        match self.dense_depth().filter(|_| self.config.depth_source == DepthSource::Coarse) {
+            Some(dense) => Some(dense.above(0.5)),
+            None => self.mapped_depth().map(|estimate| estimate.depth.clone()),
+        }
+    }
+
     /// The network's depth of this tick.
     #[must_use]
     pub fn network_depth(&self) -> Option<&DepthEstimate> {
