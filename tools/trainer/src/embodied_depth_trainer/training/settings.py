@@ -9,6 +9,7 @@ from typing import Any
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.past_frames import GAP
 from embodied_depth_trainer.losses.reprojection import LossOptions
+from embodied_depth_trainer.training.initial import identity
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,8 @@ class Settings:
     past_gap: int = GAP
     encoder: str | None = None
     """Initial weights of the image encoder, a file or `imagenet`; `None`: random; see `imagenet_weights.py`."""
+    init: str | None = None
+    """File of the weights to go on from, a checkpoint or an ONNX file; `None`: random; see `initial.py`."""
     amp: bool = False
     """Computes convolutions in bfloat16; loss and weights stay in float32."""
     loss: LossOptions = field(default_factory=LossOptions)
@@ -59,4 +62,5 @@ class Settings:
         plain["depth_range_m"] = list(self.depth_range_m)
         plain["decay"] = None if self.decay is None else list(self.decay)
         plain["camera"] = asdict(frames.camera)
+        plain["init"] = identity(self.init)
         return plain
