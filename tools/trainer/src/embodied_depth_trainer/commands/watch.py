@@ -42,6 +42,9 @@ STATE_FILE = "watch.json"
 POLL_INTERVAL_S = 2.0
 # The default network's settings without decay, because the training has no end.
 ENDLESS = replace(SETTINGS, decay=None)
+# The learning rate for going on from a network that has learnt already. It falls to 0 in every round, because a network
+# at a constant rate is better or worse by chance when the round ends.
+GOING_ON = 3e-4
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,7 @@ def _round(settings: WatchSettings, number: int) -> Path:
     frames = read_frames([folder / "run" for folder in folders], coarse, [], None, labels, settings.every)
     pairs, validation = find_pairs(frames, None, PairRule())
     training = settings.work / "training"
-    trainer = Trainer(frames, pairs, replace(settings.training, init=_initial(settings)), settings.device)
+    trainer = Trainer(frames, pairs, _training(settings), settings.device)
     steps = (number + 1) * settings.steps
     with Progress(trainer, validation, steps, training, settings.steps // VALIDATIONS) as progress:
         checkpoint = train(trainer, steps, training, on_step=progress)
@@ -137,6 +140,14 @@ def _round(settings: WatchSettings, number: int) -> Path:
     export_checkpoint(checkpoint, None, network)
     _log(f"round {number}: {len(frames)} frames, {steps} steps in total: {network}")
     return network
+
+
+def _training(settings: WatchSettings) -> Settings:
+    """The settings of the training: those of the default network if it begins with random weights."""
+    init = _initial(settings)
+    if init is None:
+        return settings.training
+    return replace(settings.training, init=init, learning_rate=GOING_ON, cycle=settings.steps)
 
 
 def _initial(settings: WatchSettings) -> str | None:

@@ -35,6 +35,9 @@ class Settings:
     """Columns of each target that a step uses, a multiple of 32; 0: all."""
     decay: tuple[int, int] | None = None
     """The learning rate falls to 0 along half a cosine from the first of these steps to the second."""
+    cycle: int | None = None
+    """The learning rate falls to 0 along half a cosine within this many steps, again and again (Loshchilov and Hutter
+    2017), for trainings without an end."""
     teacher_steps: int = 2000
     """Number of steps for which ManyDepth's single-frame teacher is trained."""
     past_frames: int = 0
@@ -50,10 +53,13 @@ class Settings:
     loss: LossOptions = field(default_factory=LossOptions)
 
     def learning_rate_at(self, step: int) -> float:
-        if self.decay is None:
+        if self.decay is not None:
+            first, last = self.decay
+            share = min(max((step - first) / (last - first), 0.0), 1.0)
+        elif self.cycle is not None:
+            share = step % self.cycle / self.cycle
+        else:
             return self.learning_rate
-        first, last = self.decay
-        share = min(max((step - first) / (last - first), 0.0), 1.0)
         return self.learning_rate * 0.5 * (1 + math.cos(math.pi * share))
 
     def as_dict(self, frames: Frames) -> dict[str, Any]:
