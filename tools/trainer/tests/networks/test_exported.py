@@ -62,15 +62,14 @@ def test_the_loaded_default_network_computes_what_its_file_computes() -> None:
             assert np.abs(network(rgb, coarse).numpy() - found).max() < TOLERANCE
 
 
-@pytest.mark.parametrize("name", ["edn_r18", "monodepth2_r18"])
-def test_any_exported_architecture_can_be_loaded(name: str, tmp_path: Path) -> None:
+def test_an_exported_resnet_can_be_loaded(tmp_path: Path) -> None:
     file = tmp_path / "model.onnx"
-    export_depth(DepthExport(name, (32, 64), random=True, seed=3), file)
-    planes = inputs((32, 64), 5)[: 2 if name == "edn_r18" else 1]
-    original = build_network(name, RANGE_M, 3).eval()
-    loaded = initial_network(name, RANGE_M, 8, str(file))
+    export_depth(DepthExport("monodepth2_r18", (32, 64), random=True, seed=3), file)
+    image, _ = inputs((32, 64), 5)
+    original = build_network("monodepth2_r18", RANGE_M, 3).eval()
+    loaded = initial_network("monodepth2_r18", RANGE_M, 8, str(file))
     with torch.no_grad():
-        assert torch.allclose(loaded(*planes), original(*planes), atol=TOLERANCE)
+        assert torch.allclose(loaded(image), original(image), atol=TOLERANCE)
 
 
 def test_measured_statistics_change_nothing_in_evaluation_and_make_training_begin_at_the_same_depth() -> None:

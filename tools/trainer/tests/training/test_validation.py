@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,11 +61,11 @@ def test_the_warning_comes_early_where_nothing_can_be_learnt(tmp_path: Path, cap
     known = np.stack([frames.truth_mm, np.full_like(frames.truth_mm, 65_000)], 1)
     progress = trained(replace(frames, coarse=known), 30, tmp_path, replace(LABELS, augment=False))
     assert progress.verdict is not None
-    assert not progress.verdict.has_learnt
+    assert progress.verdict.is_nothing
     said = capfd.readouterr().err
     # Once after half of the steps, and at the end.
     assert said.count("NOTHING IS LEARNT") == 2
-    assert "step 15 of 30: NOTHING IS LEARNT: the validation loss of depth is" in said
+    assert "step 15 of 30: NOTHING IS LEARNT: the loss of depth on" in said
 
 
 def test_no_warning_comes_where_something_is_learnt(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -75,7 +76,7 @@ def test_no_warning_comes_where_something_is_learnt(tmp_path: Path, capfd: pytes
     assert progress.verdict.has_learnt
     said = capfd.readouterr().err
     assert "NOTHING" not in said
-    assert "learnt: the validation loss" in said
+    assert "learnt: the loss of depth on" in said
     first, *_, last = progress.rows
     assert last["right in holes"] > first["right in holes"] + 0.05
 
@@ -88,10 +89,14 @@ def test_a_gain_counts_only_above_its_margin() -> None:
     initial = measured(0.10, 0.20, 0.30, 0.40)
     # The same gain in every frame has no standard error: 1 % of the loss decides.
     assert verdict(initial, measured(0.09, 0.19, 0.29, 0.39)).has_learnt
-    assert not verdict(initial, measured(0.098, 0.198, 0.298, 0.398)).has_learnt
-    # A larger mean gain that comes from one frame only is chance.
-    assert not verdict(initial, measured(0.10, 0.20, 0.30, 0.20)).has_learnt
-    assert not verdict(initial, initial).has_learnt
+    assert verdict(initial, measured(0.098, 0.198, 0.298, 0.398)).is_nothing
+    assert verdict(initial, initial).is_nothing
+    assert verdict(initial, measured(math.nan, 0.1, 0.1, 0.1)).is_nothing
+    # A larger mean gain that comes from one frame only may be chance.
+    by_chance = verdict(initial, measured(0.10, 0.20, 0.30, 0.20))
+    assert not by_chance.has_learnt
+    assert not by_chance.is_nothing
+    assert "not certain" in str(by_chance)
 
 
 @pytest.mark.parametrize("network", ["student", "sc_depth_r18", "manydepth_r18"])

@@ -24,7 +24,7 @@ from embodied_depth_trainer.training.validation import Measured, Validation, Ver
 
 CSV_FILE = "progress.csv"
 PICTURE_FILE = "progress.png"
-# The warning comes after this share of the steps if no validation has shown anything learnt: in the beginning the
+# The warning comes after this share of the steps if no validation has shown any gain: in the beginning the
 # statistics of batch norms lag behind the weights, and validation losses of random networks rise first.
 WARN_AFTER = 0.5
 # Validations of a training, unless another interval is given.
@@ -56,7 +56,7 @@ class Progress:
         self.is_first_process = processes.rank() == 0
         self.validation = Validation(validation)
         self.rows: list[Row] = []
-        self.has_learnt = False
+        self.has_gained = False
         self.warned = False
         self.losses: list[float] = []
         self.verdict: Verdict | None = None
@@ -109,8 +109,8 @@ class Progress:
         self._say(_line(row))
         if self.initial is not None and now is not None:
             self.verdict = verdict(self.initial, now)
-            self.has_learnt |= self.verdict.has_learnt
-            if not self.has_learnt and not self.warned and WARN_AFTER * self.steps <= step < self.steps:
+            self.has_gained |= not self.verdict.is_nothing
+            if not self.has_gained and not self.warned and WARN_AFTER * self.steps <= step < self.steps:
                 self.warned = True
                 self._say(f"step {step} of {self.steps}: {self.verdict}")
         if self.is_first_process:

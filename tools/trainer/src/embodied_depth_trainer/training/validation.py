@@ -20,8 +20,8 @@ from embodied_depth_trainer.losses.depth_supervision import LN_TOLERANCE, at_cel
 from embodied_depth_trainer.networks.registry import takes_coarse
 from embodied_depth_trainer.training.trainer import UNCERTAINTY, Trainer
 
-# Gain over the initial network that counts as learnt: this share of the initial loss, and this many standard errors of
-# the mean of the differences, frame by frame. Neighbouring frames are alike, so the standard error is rather too small.
+# Gain over the initial network that counts: this share of the initial loss. It is certain above this many standard
+# errors of the mean of the differences, frame by frame. Neighbouring frames are alike, so that is rather too little.
 LEAST_GAIN = 0.01
 STANDARD_ERRORS = 2.0
 # Coarse depth of at least this confidence stands in for labels.
@@ -53,27 +53,41 @@ class Measured:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether the loss of depth is lower than that of the initial network by a margin."""
+    """Whether the loss of depth is lower than that of the initial network."""
 
     initial: float
     now: float
-    margin: float
-    """What the loss must fall by."""
+    least: float
+    """What the loss must fall by to count."""
+    noise: float
+    """What it must fall by to be more than chance among the frames."""
+    frames: int
 
     @property
     def has_learnt(self) -> bool:
-        return self.initial - self.now > self.margin
+        return self.initial - self.now > max(self.least, self.noise)
+
+    @property
+    def is_nothing(self) -> bool:
+        """Whether the gain would be too small even if it were certain."""
+        # `not >` instead of `<=`, so that NaN is nothing.
+        return not self.initial - self.now > self.least
 
     def __str__(self) -> str:
-        numbers = (
-            f"the validation loss of depth is {self.now:.4f}, that of the initial network {self.initial:.4f}, and "
-            f"{self.initial - self.margin:.4f} or less would count as learnt"
+        said = (
+            f"the loss of depth on {self.frames} held-out frames is {self.now:.4f}, that of the initial network "
+            f"{self.initial:.4f}"
         )
         if self.has_learnt:
-            return f"learnt: {numbers}"
+            return f"learnt: {said}"
+        if self.is_nothing:
+            return (
+                f"NOTHING IS LEARNT: {said}, and {self.initial - self.least:.4f} would count; "
+                "give other frames, more of them, --labels, more --steps, or another --learning-rate"
+            )
         return (
-            f"NOTHING IS LEARNT: {numbers}; give other frames, more of them, --labels, more --steps, or another "
-            "--learning-rate"
+            f"it is not certain that anything is learnt: {said}, a difference up to {self.noise:.4f} can be chance; "
+            "record more places to know"
         )
 
 
@@ -81,8 +95,8 @@ def verdict(initial: Measured, now: Measured) -> Verdict:
     """Compares two measurements of the same frames."""
     gains = initial.depth_losses - now.depth_losses
     error = float(gains.std(ddof=1)) / math.sqrt(len(gains)) if len(gains) > 1 else 0.0
-    margin = max(LEAST_GAIN * abs(initial.depth_loss), STANDARD_ERRORS * error)
-    return Verdict(initial.depth_loss, now.depth_loss, margin)
+    least = LEAST_GAIN * abs(initial.depth_loss)
+    return Verdict(initial.depth_loss, now.depth_loss, least, STANDARD_ERRORS * error, len(gains))
 
 
 class Validation:
