@@ -59,7 +59,8 @@ def test_the_loaded_default_network_computes_what_its_file_computes() -> None:
         rgb, coarse = inputs((192, 640), seed)
         found = session.run(None, {"rgb": rgb.numpy(), "coarse": coarse.numpy()})[0]
         with torch.no_grad():
-            assert np.abs(network(rgb, coarse).numpy() - found).max() < TOLERANCE
+            # Measured: 6e-7 of x, 2.4e-6 of ln b.
+            assert np.abs(network(rgb, coarse).numpy() - found).max() < 1e-5
 
 
 def test_an_exported_resnet_can_be_loaded(tmp_path: Path) -> None:
