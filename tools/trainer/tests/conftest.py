@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 from pathlib import Path
 
 import pytest
+
+# The same bits on every computer: `--device auto` would use a GPU.
+os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 TRAINER = Path(__file__).resolve().parents[1]
 

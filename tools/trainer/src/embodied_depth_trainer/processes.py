@@ -13,12 +13,25 @@ from typing import Any
 import torch
 from torch import Tensor, distributed, nn
 
+from embodied_depth_trainer.errors import TrainerError
+
 
 def start(device: str) -> str:
-    """Joins the processes that `torchrun` started, if any, and returns this process's device."""
+    """Joins the processes that `torchrun` started, if any, and returns this process's device; see `pick_device`."""
+    device = pick_device(device)
     if int(os.environ.get("WORLD_SIZE", "1")) > 1 and not distributed.is_initialized():
         distributed.init_process_group("nccl" if device.startswith("cuda") else "gloo")
     return f"cuda:{os.environ['LOCAL_RANK']}" if device == "cuda" and count() > 1 else device
+
+
+def pick_device(name: str) -> str:
+    """The device that `auto`, `cpu` or `cuda` stands for: `auto` is the GPU if PyTorch can use one."""
+    usable = torch.cuda.is_available()
+    if name == "cuda" and not usable:
+        raise TrainerError(
+            "PyTorch can use no GPU here (--device cuda); install its CUDA build and a driver, or give --device cpu"
+        )
+    return "cuda" if name == "cuda" or (name == "auto" and usable) else "cpu"
 
 
 def count() -> int:

@@ -13,7 +13,7 @@ import pytest
 
 from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.commands.make_default import CALIBRATION_RUNS, RUNS, SETTINGS, STEPS
-from embodied_depth_trainer.export.golden import at_block_centres, golden_inputs, golden_output
+from embodied_depth_trainer.networks.golden import at_block_centres, golden_inputs, golden_output
 from embodied_depth_trainer.training.settings import Settings
 
 FILE = Path(__file__).resolve().parents[4] / "firmware-host/models/default.onnx"

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from embodied_depth_trainer.commands import watch as watching
 from embodied_depth_trainer.commands.watch import STATE_FILE, WatchSettings, frame_count, runs, watch
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.training import checkpoint as checkpoints
@@ -43,10 +44,14 @@ def settings(tmp_path: Path, robot: Path) -> WatchSettings:
 
 
 def test_every_round_continues_training_on_all_runs_and_passes_on_its_network(
-    settings: WatchSettings, tmp_path: Path
+    settings: WatchSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pull(settings.pulled, "robot/monday", 0)
     (first,) = watch(settings)
+    training = checkpoints.load(settings.work / "training/checkpoint.pt").settings
+    assert training["init"].startswith("default.onnx sha256:")
+    # A newer package with another default network does not end a watch.
+    monkeypatch.setattr(watching, "SHIPPED", first)
     pull(settings.pulled, "robot/monday", 1)
     pull(settings.pulled, "other/tuesday", 0)
     (second,) = watch(replace(settings, rounds=2))
@@ -55,6 +60,15 @@ def test_every_round_continues_training_on_all_runs_and_passes_on_its_network(
     assert second.read_bytes() != first.read_bytes()
     assert checkpoints.load(settings.work / "training/checkpoint.pt").step == 4
     assert json.loads((settings.work / STATE_FILE).read_text()) == {"rounds": 2, "frames": 36}
+
+
+def test_a_watch_that_began_with_random_weights_stays_with_them(settings: WatchSettings) -> None:
+    pull(settings.pulled, "robot/monday", 0)
+    watch(replace(settings, init="none"))
+    pull(settings.pulled, "robot/monday", 1)
+    watch(replace(settings, rounds=2))
+    saved = checkpoints.load(settings.work / "training/checkpoint.pt")
+    assert (saved.settings["init"], saved.step) == (None, 4)
 
 
 def test_completed_rounds_are_not_repeated(settings: WatchSettings) -> None:

@@ -14,8 +14,8 @@ import torch
 from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.data.pairs import PairRule, pairs_by_baseline
 from embodied_depth_trainer.export.depth import DEPTH_NETWORKS, DepthExport, build
-from embodied_depth_trainer.export.golden import at_block_centres, golden_inputs, golden_output
 from embodied_depth_trainer.networks.edn import Edn
+from embodied_depth_trainer.networks.golden import at_block_centres, golden_inputs, golden_output
 from embodied_depth_trainer.networks.monodepth2 import Monodepth2
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.trainer import Trainer, train

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 import torch
 from torch import nn
 
+from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.export.depth import DepthExport, export_depth
+from embodied_depth_trainer.networks.registry import build_network
+from embodied_depth_trainer.networks.runtime import OnnxNetwork
+from embodied_depth_trainer.studies.baselines import fill_nearest
 from embodied_depth_trainer.studies.evaluation import evaluate, metrics, table
+from embodied_depth_trainer.training.initial import SHIPPED
 
+from ..recordings import dump_of, straight, write_segment
 from ..rooms import room
 
 
@@ -82,3 +91,54 @@ def test_the_constant_is_the_truths_median_and_coarse_depth_is_evaluated_where_v
     assert "constant" in table(rows)
     with pytest.raises(TrainerError, match="--depth truth"):
         evaluate(replace(frames, truth_mm=None), {}, (0.1, 20.0))
+
+
+def test_holes_take_the_depth_of_the_nearest_cell() -> None:
+    depth = np.zeros((16, 32), np.float32)
+    depth[:, :8] = 1.0
+    depth[:, 24:] = 3.0
+    filled = fill_nearest(depth)
+    assert np.unique(filled).tolist() == [1.0, 3.0]
+    assert np.unique(filled[:, :12]).tolist() == [1.0]
+    assert np.unique(filled[:, 20:]).tolist() == [3.0]
+    assert np.array_equal(filled[depth > 0], depth[depth > 0])
+    assert not fill_nearest(np.zeros((16, 32), np.float32)).any()
+
+
+@pytest.mark.parametrize("network", ["student", "manydepth_r18"])
+def test_an_onnx_file_is_measured_like_the_checkpoint_that_it_was_exported_from(network: str, tmp_path: Path) -> None:
+    frames = room(4, (32, 64))
+    file = tmp_path / "model.onnx"
+    export_depth(DepthExport(network, (32, 64), random=True, seed=5), file)
+    original = build_network(network, (0.1, 20.0), 5)
+    rows = evaluate(frames, {"original": original, "file": OnnxNetwork(file)}, (0.1, 20.0))
+    assert rows["file"].right == pytest.approx(rows["original"].right, abs=1e-3)
+    assert rows["file"].abs_rel == pytest.approx(rows["original"].abs_rel, abs=1e-4)
+    # One of the four frames has no coarse depth to fill its holes with.
+    assert rows["coarse, holes filled"].share == pytest.approx(0.75)
+
+
+def test_evaluate_prints_an_onnx_file_beside_the_baselines_and_right_of_all_pixels_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, coarse, file = tmp_path / "run", tmp_path / "coarse", tmp_path / "model.onnx"
+    run.mkdir()
+    frames = room(6, (32, 64))
+    write_segment(run / "recording_0000.mcap", frames, straight(6), truth=True)
+    dump_of(frames, coarse)
+    export_depth(DepthExport("student", (32, 64), random=True), file)
+    command = ["evaluate", "--recording", str(run), "--coarse", str(coarse), "--model"]
+    assert main([*command, str(file)]) == 0
+    head, *lines = capsys.readouterr().out.splitlines()
+    assert head.split("|")[0].strip() == "right of all pixels  delta1 of share"
+    names = [line[:36].strip() for line in lines]
+    assert names[:4] == ["constant", "coarse", "coarse, holes filled", "untrained"]
+    assert "student" in names
+    # A file without our metadata, and images of another size.
+    model = onnx.load(str(file))
+    del model.metadata_props[:]
+    onnx.save(model, str(tmp_path / "foreign.onnx"))
+    assert main([*command, str(tmp_path / "foreign.onnx")]) == 1
+    assert "is no depth network of this trainer" in capsys.readouterr().err
+    assert main([*command, str(SHIPPED)]) == 1
+    assert "cannot become 192x640" in capsys.readouterr().err

@@ -45,7 +45,7 @@ def test_every_network_learns_from_all_homes_and_is_evaluated_in_each(robot: Pat
 def test_an_interrupted_study_continues_without_exploring_again_and_refuses_other_settings(
     robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = arguments(robot, tmp_path, *HOME, "--network", "student")
+    command = arguments(robot, tmp_path, *HOME, "--network", "student", "--init", "shipped")
     assert main(command) == 0
     (file,) = (tmp_path / "results").rglob("result.json")
     (recording,) = (tmp_path / "recordings").iterdir()
@@ -54,6 +54,8 @@ def test_an_interrupted_study_continues_without_exploring_again_and_refuses_othe
     file.unlink()
     assert main(command) == 0
     assert (file.read_text(), recording.stat().st_mtime_ns) == (before, made)
+    assert main([*command, "--network", "edn_r18"]) == 1
+    assert "--init shipped fits one architecture" in capsys.readouterr().err
     # Other settings are refused: half of the study would have the old ones.
     assert main([*command, "--frames", "40"]) == 1
     assert "frames was 30, now 40; give the same settings or another --out" in capsys.readouterr().err

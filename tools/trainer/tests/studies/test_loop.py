@@ -181,7 +181,7 @@ def test_a_failed_job_does_not_stop_the_other_jobs(
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(TRAINER / "src"))
     lines = [
-        shlex.join(arguments(robot, tmp_path / "a")[1:]),
+        shlex.join(arguments(robot, tmp_path / "a", "--init", "shipped", "--amp")[1:]),
         "# nothing",
         shlex.join(arguments(robot, tmp_path / "b", "--scene", "nowhere")[1:]),
         shlex.join(arguments(robot, tmp_path / "c", "--network", "monodepth2_r18")[1:]),
@@ -195,6 +195,10 @@ def test_a_failed_job_does_not_stop_the_other_jobs(
     assert main(["loop", "--jobs", str(jobs), "--workers", "2"]) == 1
     assert "1 of 3 jobs failed (2)" in capsys.readouterr().err
     assert result(tmp_path / "c")["settings"]["network"] == "monodepth2_r18"
+    shipped = result(tmp_path / "a")["settings"]
+    assert shipped["init"].startswith("default.onnx sha256:")
+    assert shipped["amp"]
+    assert "init" not in result(tmp_path / "c")["settings"]
     assert (tmp_path / "a/result.json").stat().st_mtime_ns == before
     assert main(["loop", "--jobs", str(jobs), "--job", "4"]) == 1
     assert "there is no job 4" in capsys.readouterr().err

@@ -280,6 +280,8 @@ def test_the_learning_rate_stays_constant_and_then_falls_to_zero() -> None:
     settings = Settings(learning_rate=1.0, decay=(100, 200))
     assert [settings.learning_rate_at(step) for step in (0, 100, 150, 200)] == pytest.approx([1.0, 1.0, 0.5, 0.0])
     assert Settings(learning_rate=1.0).learning_rate_at(10**9) == 1.0
+    again = Settings(learning_rate=1.0, cycle=100)
+    assert [again.learning_rate_at(step) for step in (0, 50, 100, 150)] == pytest.approx([1.0, 0.5, 1.0, 0.5])
 
 
 def test_about_half_of_the_images_are_jittered_and_coarse_depth_is_dropped() -> None:
@@ -326,6 +328,7 @@ def test_evaluate_writes_the_numbers_that_it_prints(
     assert list(rows) == [
         "constant",
         "coarse",
+        "coarse, holes filled",
         "untrained",
         "untrained, where coarse is",
         "student, 1 steps",

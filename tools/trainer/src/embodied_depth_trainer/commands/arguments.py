@@ -38,9 +38,28 @@ def add_frames(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--every", type=int, default=1, help="use every Nth frame of a recording [1]")
     command.add_argument("--size", type=image_size, help="reduce the images to rows x columns")
-    command.add_argument("--device", default="cpu", help="cpu or cuda [cpu]")
+    add_device(command)
     command.add_argument(
         "--threads", type=int, default=1, help="CPU threads; more only help on an otherwise idle computer [1]"
+    )
+
+
+def add_device(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--device", choices=("auto", "cpu", "cuda"), default="auto", help="auto: the GPU if there is one [auto]"
+    )
+
+
+def add_amp(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--amp", action="store_true", help="compute in bfloat16, for CPUs with AMX and for GPUs")
+
+
+def add_init(command: argparse.ArgumentParser, default: str = "none") -> None:
+    command.add_argument(
+        "--init",
+        metavar="FILE",
+        help="weights to go on from: a checkpoint.pt, an exported .onnx file, `shipped` for the robot's default "
+        f"network, or `none` for random ones [{default}]",
     )
 
 
@@ -67,6 +86,9 @@ def add_study_options(
     command.add_argument("--views", type=int, default=views, help="number of test views of each scene [200]")
     command.add_argument("--views-seed", type=int, default=views_seed, help="seed of the test views [1000]")
     add_firmware_host(command)
+    add_init(command)
+    add_device(command)
+    add_amp(command)
     command.add_argument("--threads", type=int, default=1, help="CPU threads [1]")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
@@ -12,9 +12,12 @@ from torch import nn
 
 from embodied_depth_trainer.commands.arguments import add_frames
 from embodied_depth_trainer.data.dataset import read_frames
+from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
-from embodied_depth_trainer.networks.registry import build_network
+from embodied_depth_trainer.networks.registry import DEPTH_NETWORKS, build_network
+from embodied_depth_trainer.networks.runtime import OnnxNetwork
+from embodied_depth_trainer.processes import pick_device
 from embodied_depth_trainer.studies.evaluation import evaluate, table
 from embodied_depth_trainer.studies.views import Views
 from embodied_depth_trainer.training import checkpoint as checkpoints
@@ -24,6 +27,9 @@ def add_evaluate(command: argparse.ArgumentParser) -> None:
     add_frames(command)
     command.add_argument("--checkpoint", type=Path, help="checkpoint.pt of a training [only the baselines]")
     command.add_argument(
+        "--model", type=Path, help="ONNX file of `export`, computed by ONNX Runtime; instead of --checkpoint"
+    )
+    command.add_argument(
         "--views",
         type=Path,
         help="evaluate on test views instead, the output of `firmware-host views`; also reports the views after a "
@@ -32,20 +38,43 @@ def add_evaluate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", type=Path, help="also write the numbers to this file")
 
 
+@dataclass(frozen=True)
+class _Chosen:
+    """The networks to measure, and what they need."""
+
+    networks: dict[str, nn.Module]
+    size: tuple[int, int] | None = None
+    """Rows, columns; `None`: those of the frames."""
+    depth_range_m: tuple[float, float] = (0.1, 20.0)
+    past: PastFrames | None = None
+
+
+def _chosen(options: argparse.Namespace) -> _Chosen:
+    if options.checkpoint is not None and options.model is not None:
+        raise TrainerError(f"give either --checkpoint {options.checkpoint} or --model {options.model}")
+    if options.model is not None:
+        model = OnnxNetwork(options.model)
+        name = model.metadata.get("architecture", "")
+        networks: dict[str, nn.Module] = {}
+        if name in DEPTH_NETWORKS:
+            networks["untrained"] = build_network(name, model.depth_range_m, 0)
+        return _Chosen({**networks, model.title: model}, model.size, model.depth_range_m)
+    if options.checkpoint is None:
+        return _Chosen({})
+    saved = checkpoints.load(options.checkpoint)
+    networks = {"untrained": build_network(saved.network, saved.depth_range_m, int(saved.settings["seed"]))}
+    networks[f"{saved.network}, {saved.step} steps"] = saved.build()
+    return _Chosen(networks, (saved.camera.height, saved.camera.width), saved.depth_range_m, saved.past_frames)
+
+
 def run_evaluate(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
-    networks: dict[str, nn.Module] = {}
-    size = options.size
-    depth_range_m = (0.1, 20.0)
-    past = None
-    if options.checkpoint is not None:
-        saved = checkpoints.load(options.checkpoint)
-        size = size or (saved.camera.height, saved.camera.width)
-        depth_range_m = saved.depth_range_m
-        past = saved.past_frames
-        networks["untrained"] = build_network(saved.network, depth_range_m, int(saved.settings["seed"]))
-        networks[f"{saved.network}, {saved.step} steps"] = saved.build()
-    networks = {name: network.to(options.device) for name, network in networks.items()}
+    device = pick_device(options.device)
+    chosen = _chosen(options)
+    networks = {name: network.to(device) for name, network in chosen.networks.items()}
+    size = options.size or chosen.size
+    depth_range_m = chosen.depth_range_m
+    past = chosen.past
     if options.views is not None:
         if past is not None:
             raise TrainerError("test views have no past frames to compute coarse depth from; give a --recording")

@@ -8,7 +8,9 @@ from pathlib import Path
 from embodied_depth_trainer.commands.arguments import POLICIES, add_study_options
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.networks.registry import DEPTH_NETWORKS
+from embodied_depth_trainer.processes import pick_device
 from embodied_depth_trainer.studies.fleet import Fleet, FleetSettings
+from embodied_depth_trainer.training.initial import chosen
 
 
 def add_fleet(command: argparse.ArgumentParser) -> None:
@@ -44,11 +46,15 @@ def run_fleet(options: argparse.Namespace) -> None:
         encoder=options.encoder,
         views=options.views,
         views_seed=options.views_seed,
+        init=chosen(options.init),
+        amp=options.amp,
     )
     if settings.frames < 1 or settings.steps < 1:
         raise TrainerError(
             f"{settings.frames} frames and {settings.steps} steps train nothing; give at least 1 of each"
         )
-    fleet = Fleet(settings, options.scene, options.out, options.firmware_host)
+    if settings.init is not None and len(options.network) > 1:
+        raise TrainerError(f"--init {options.init} fits one architecture; give one --network")
+    fleet = Fleet(settings, options.scene, options.out, options.firmware_host, pick_device(options.device))
     fleet.study(options.policy, options.network, options.threads)
     print(f"{options.out}/results; tables: embodied-depth results --runs {options.out}/results --out DIR")

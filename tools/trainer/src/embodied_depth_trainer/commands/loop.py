@@ -8,8 +8,10 @@ from pathlib import Path
 
 from embodied_depth_trainer.commands.arguments import POLICIES, add_network, add_study_options
 from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.processes import pick_device
 from embodied_depth_trainer.studies.jobs import read_jobs, run_jobs
 from embodied_depth_trainer.studies.loop import LoopSettings, run_loop
+from embodied_depth_trainer.training.initial import chosen
 
 
 def add_loop(command: argparse.ArgumentParser) -> None:
@@ -86,6 +88,9 @@ def run_one(options: argparse.Namespace) -> None:
         decay=options.decay,
         views=options.views,
         views_seed=options.views_seed,
+        init=chosen(options.init),
+        amp=options.amp,
     )
-    result = run_loop(settings, options.out, options.firmware_host, options.views_dir, options.threads)
+    device = pick_device(options.device)
+    result = run_loop(settings, options.out, options.firmware_host, options.views_dir, options.threads, device)
     print(f"{result}; see curve.png and views.png beside it, and run/map.png", file=sys.stderr)

@@ -11,20 +11,24 @@ import argparse
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 
+from embodied_depth_trainer.commands.arguments import add_amp, add_device, add_init
 from embodied_depth_trainer.commands.export import report_parity
-from embodied_depth_trainer.data.dataset import read_frames
+from embodied_depth_trainer.data.dataset import find_pairs, read_frames
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.labels import write_labels
-from embodied_depth_trainer.data.pairs import PairRule, pairs_by_baseline
+from embodied_depth_trainer.data.pairs import PairRule
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.export.calibration import calibrate, table
 from embodied_depth_trainer.export.depth import export_checkpoint
 from embodied_depth_trainer.files import write_atomically
+from embodied_depth_trainer.processes import pick_device
+from embodied_depth_trainer.training.initial import chosen
+from embodied_depth_trainer.training.progress import Progress, draw
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.trainer import Trainer, train
 
@@ -103,13 +107,16 @@ CALIBRATION_RUNS = (
 )
 
 
-def make_default(robot: Path, work: Path, out: Path) -> float:
+def make_default(robot: Path, work: Path, out: Path, settings: Settings = SETTINGS, device: str = "cpu") -> float:
     """Writes the network to `out` and everything that it is made from to `work`; `robot` is the firmware-host. Returns
     the largest difference between ONNX Runtime and PyTorch."""
     frames = _frames(robot, RUNS, FRAMES, work)
-    trainer = Trainer(frames, pairs_by_baseline(frames, PairRule()), SETTINGS)
-    _log(f"training on {len(frames)} frames")
-    checkpoint = train(trainer, STEPS, work / "training", on_step=_progress)
+    pairs, validation = find_pairs(frames, None, PairRule())
+    trainer = Trainer(frames, pairs, settings, device)
+    _log(f"training on {len(pairs)} of {len(frames)} frames")
+    with Progress(trainer, validation, STEPS, work / "training") as progress:
+        checkpoint = train(trainer, STEPS, work / "training", on_step=progress)
+    draw(work / "training")
     uncalibrated = work / "uncalibrated.onnx"
     difference = export_checkpoint(checkpoint, None, uncalibrated)
     further = _frames(robot, CALIBRATION_RUNS, CALIBRATION_FRAMES, work)
@@ -154,11 +161,6 @@ def _call(command: Sequence[str]) -> None:
         raise TrainerError(f"`{text}` ended with {problem.returncode}; its own message is above") from problem
 
 
-def _progress(step: int, loss: float) -> None:
-    if step % 100 == 0:
-        _log(f"step {step} of {STEPS}, loss {loss:.4f}")
-
-
 def _log(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
@@ -166,10 +168,15 @@ def _log(text: str) -> None:
 def add_make_default(command: argparse.ArgumentParser) -> None:
     command.add_argument("--robot", type=Path, required=True, help="firmware-host, a release build")
     command.add_argument("--work", type=Path, required=True, help="directory for runs and training; needs 10 GB")
+    add_init(command)
+    add_device(command)
+    add_amp(command)
     command.add_argument("--threads", type=int, default=1, help="CPU threads [1]")
     command.add_argument("--out", type=Path, required=True, help="ONNX file to write")
 
 
 def run_make_default(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
-    report_parity(options.out, make_default(options.robot, options.work, options.out))
+    settings = replace(SETTINGS, init=chosen(options.init), amp=options.amp)
+    difference = make_default(options.robot, options.work, options.out, settings, pick_device(options.device))
+    report_parity(options.out, difference)

@@ -9,11 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from tqdm import tqdm
 
 from embodied_depth_trainer import processes
 from embodied_depth_trainer.commands import experiment
-from embodied_depth_trainer.commands.arguments import add_frames, add_network
+from embodied_depth_trainer.commands.arguments import add_amp, add_frames, add_init, add_network
 from embodied_depth_trainer.data.buffer import select
 from embodied_depth_trainer.data.dataset import find_pairs, read_frames
 from embodied_depth_trainer.data.pairs import PairRule
@@ -21,6 +20,8 @@ from embodied_depth_trainer.data.past_frames import GAP, PastFrames
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.losses.recipes import recipe
 from embodied_depth_trainer.losses.reprojection import LossOptions
+from embodied_depth_trainer.training.initial import chosen
+from embodied_depth_trainer.training.progress import Progress, draw
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.tensorboard import Board
 from embodied_depth_trainer.training.trainer import Trainer, train
@@ -47,7 +48,14 @@ def add_train(command: argparse.ArgumentParser) -> None:
         help="initial weights of the image encoder (ResNet18): torchvision's state dict, or `imagenet` to download it "
         "[random]",
     )
-    command.add_argument("--amp", action="store_true", help="compute in bfloat16, for CPUs with AMX and for GPUs")
+    add_init(command)
+    add_amp(command)
+    command.add_argument(
+        "--validate-every",
+        type=int,
+        metavar="STEPS",
+        help="steps between two validations on the recording's held-out places [a tenth of --steps]",
+    )
     command.add_argument(
         "--experiment", type=Path, help="TOML file with these options; options on the command line override it"
     )
@@ -151,6 +159,7 @@ def settings_of(options: argparse.Namespace) -> Settings:
         crop_width=options.crop_width,
         decay=(options.decay_from, options.steps) if options.decay_from is not None else None,
         encoder=options.encoder,
+        init=chosen(options.init),
         amp=options.amp,
         teacher_steps=options.teacher_steps,
         past_frames=options.past_frames,
@@ -173,8 +182,11 @@ def run_train(options: argparse.Namespace) -> None:
         past=PastFrames(options.past_frames, options.past_gap) if options.past_frames else None,
     )
     low, high = options.baseline
-    pairs = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
-    print(f"{len(frames)} frames, {len(pairs)} of them have source frames", file=sys.stderr)
+    pairs, validation = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
+    print(
+        f"{len(frames)} frames, {len(pairs)} of them have source frames; validation on {len(validation)} held-out ones",
+        file=sys.stderr,
+    )
     if options.buffer is not None:
         pairs = select(frames, pairs, options.buffer, options.keep, options.seed)
     trainer = Trainer(frames, pairs, settings_of(options), device)
@@ -184,20 +196,9 @@ def run_train(options: argparse.Namespace) -> None:
         write_atomically(experiment.to_toml(recorded).encode(), options.out / EXPERIMENT_FILE)
     board = Board(options.out / "tensorboard", trainer) if options.tensorboard and first else None
     start = time.perf_counter()
-    with tqdm(total=options.steps, unit="step", disable=None if first else True) as bar:
-
-        def on_step(step: int, loss: float) -> None:
-            if board:
-                board.record(step, loss)
-            bar.n = step
-            bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
-            bar.update(0)
-            # Without a terminal there is no progress bar: print a line at every tenth of the steps.
-            if first and bar.disable and step % max(1, options.steps // 10) == 0:
-                print(f"step {step} of {options.steps}, loss {loss:.4f}", file=sys.stderr, flush=True)
-
-        file = train(trainer, options.steps, options.out, options.checkpoint_every, on_step)
-    if board:
-        board.close()
+    with Progress(trainer, validation, options.steps, options.out, options.validate_every, board) as progress:
+        file = train(trainer, options.steps, options.out, options.checkpoint_every, progress)
     waited = trainer.batches.waited_s / (time.perf_counter() - start)
+    if first and progress.rows:
+        draw(options.out)
     print(f"{file}: {trainer.step} steps; {waited:.1%} of the time was spent waiting for data")

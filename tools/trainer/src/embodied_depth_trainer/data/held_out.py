@@ -61,3 +61,14 @@ def without_held_out(frames: Frames, pairs: Pairs) -> Pairs:
             f"all pairs of {len(frames)} frames include a held-out frame; let the robot drive through more places"
         )
     return Pairs(pairs.targets[kept], [earlier[index] for index in kept], [later[index] for index in kept])
+
+
+def only_held_out(frames: Frames, pairs: Pairs, limit: int) -> Pairs:
+    """The pairs whose target is held out, for validation: at most `limit`, evenly spread over all. Empty if no frame is
+    held out. Sources may be any frame."""
+    held = frames.held_out
+    kept = np.flatnonzero(held[pairs.targets]) if held is not None else np.empty(0, np.int64)
+    if len(kept) > limit:
+        kept = kept[np.linspace(0, len(kept) - 1, limit).round().astype(np.int64)]
+    chosen: list[int] = kept.tolist()
+    return Pairs(pairs.targets[kept], [pairs.earlier[i] for i in chosen], [pairs.later[i] for i in chosen])

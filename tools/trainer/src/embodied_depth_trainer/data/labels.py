@@ -65,7 +65,11 @@ def labels(frames: Frames) -> NDArray[np.uint16]:
 
 def write_labels(frames: Frames, file: Path) -> float:
     """Writes the file that `with_labels` reads, and returns the share of cells that have a label."""
-    planes = labels(frames)
+    return save_labels(frames, labels(frames), file)
+
+
+def save_labels(frames: Frames, planes: NDArray[np.uint16], file: Path) -> float:
+    """Writes labels [N, 2, h, w] of the frames, and returns the share of cells that have one."""
     stream = io.BytesIO()
     np.savez_compressed(stream, time_ns=frames.time_ns, planes=planes)
     write_atomically(stream.getvalue(), file)

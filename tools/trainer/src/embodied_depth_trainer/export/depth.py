@@ -10,9 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from embodied_depth_trainer.export.golden import golden_pair
 from embodied_depth_trainer.export.onnx_writer import ExportError, random_image, write_onnx
 from embodied_depth_trainer.networks.cost_volume import REDUCTION
+from embodied_depth_trainer.networks.golden import golden_pair
 from embodied_depth_trainer.networks.manydepth import PLANES, VOLUME_RANGE_M, ManyDepth
 from embodied_depth_trainer.networks.registry import DEPTH_NETWORKS, SIZE_STEP, build_network, takes_coarse
 from embodied_depth_trainer.networks.resnet import Padding

@@ -103,8 +103,20 @@ def self_supervision(
     generator: torch.Generator | None = None,
     only: Tensor | None = None,
 ) -> Tensor:
-    """The scalar loss: the photometric error of the best source at every pixel that some source sees (limited to
-    `only`, bool [B, 1, H, W]), plus smoothness."""
+    """The scalar loss: the sum of `supervision_parts`."""
+    return torch.stack(list(supervision_parts(image, disparity, views, options, generator, only).values())).sum()
+
+
+def supervision_parts(
+    image: Tensor,
+    disparity: Tensor,
+    views: Sequence[View],
+    options: LossOptions,
+    generator: torch.Generator | None = None,
+    only: Tensor | None = None,
+) -> dict[str, Tensor]:
+    """The weighted parts of the loss, scalars: the photometric error of the best source at every pixel that some source
+    sees (limited to `only`, bool [B, 1, H, W]), smoothness, and geometry inconsistency if it has a weight."""
     error_of = _error_to(image, options)
     errors: list[Tensor] = []
     insides: list[Tensor] = []
@@ -133,10 +145,11 @@ def self_supervision(
             counts = counts & (least < still + AUTO_MASK_NOISE * noise)
         # 1 at the best source of every pixel that counts.
         chosen = torch.zeros_like(error).scatter_(1, best, counts.to(error.dtype))
-    loss = (error * chosen).sum() / processes.mean(counts.sum().float()).clamp(min=1) + options.smoothness * smoothness(
-        disparity, image
-    )
-    return loss + options.geometry * geometry
+    parts = {
+        "photometric": (error * chosen).sum() / processes.mean(counts.sum().float()).clamp(min=1),
+        "smoothness": options.smoothness * smoothness(disparity, image),
+    }
+    return parts if options.geometry == 0 else {**parts, "geometry": options.geometry * geometry}
 
 
 def _error_to(image: Tensor, options: LossOptions) -> Callable[[Tensor], Tensor]:

@@ -11,6 +11,7 @@ from embodied_depth_trainer.data.batches import coarse_planes
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.networks.cost_volume import volume_planes
 from embodied_depth_trainer.networks.manydepth import ManyDepth
+from embodied_depth_trainer.networks.runtime import OnnxNetwork
 
 
 def second_input(
@@ -21,6 +22,8 @@ def second_input(
     device: torch.device | str = "cpu",
 ) -> Tensor:
     """Coarse depth, or the cost volume for a network that takes one."""
-    if isinstance(network, ManyDepth):
-        return volume_planes(frames, index, network.depths_m, device)
+    # ManyDepth, also as an ONNX file.
+    depths_m = network.depths_m if isinstance(network, ManyDepth | OnnxNetwork) else None
+    if depths_m is not None:
+        return volume_planes(frames, index, depths_m, device)
     return coarse_planes(frames, index, depth_range_m, device)

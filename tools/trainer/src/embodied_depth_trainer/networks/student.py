@@ -154,7 +154,9 @@ class Student(nn.Module):
             pyramid.append(x)
         for up, skip in zip(self.up, reversed(pyramid[:-1]), strict=True):
             x = up(torch.cat([_double(x), skip], 1))
-        predicted: Tensor = self.head(x)
+        # In float32 also under autocast: bfloat16 has steps of 0.4 %, which the exponentials would multiply.
+        with torch.autocast(x.device.type, enabled=False):
+            predicted: Tensor = self.head(_single(x))
         return predicted
 
 
@@ -171,4 +173,11 @@ def _upsample(maps: Tensor, weights: Tensor) -> Tensor:
     # F.pad is avoided because some runtimes pad with zeros only.
     padded = torch.cat([maps[:, :, :1], maps, maps[:, :, -1:]], 2)
     padded = torch.cat([padded[..., :1], padded, padded[..., -1:]], 3)
-    return F.pixel_shuffle(F.conv2d(padded, weights, groups=maps.shape[1]), CELL)
+    # In float32 also under autocast, because these are depths and not features.
+    with torch.autocast(maps.device.type, enabled=False):
+        return F.pixel_shuffle(F.conv2d(padded, weights, groups=maps.shape[1]), CELL)
+
+
+def _single(x: Tensor) -> Tensor:
+    """`x` in float32; nothing is added to the graph if it is already."""
+    return x if x.dtype == torch.float32 else x.float()

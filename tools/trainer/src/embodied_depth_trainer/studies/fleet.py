@@ -24,13 +24,14 @@ from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.pairs import PairRule
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.losses.recipes import recipe
-from embodied_depth_trainer.networks.registry import build_network
 from embodied_depth_trainer.studies.locks import exclusive
 from embodied_depth_trainer.studies.loop import RESULT_FILE
 from embodied_depth_trainer.studies.robot import explore, find_firmware_host, render_views, robot_config
-from embodied_depth_trainer.studies.settings_file import keep_settings
+from embodied_depth_trainer.studies.settings_file import keep_settings, plain
 from embodied_depth_trainer.studies.views import Views
 from embodied_depth_trainer.training import checkpoint as checkpoints
+from embodied_depth_trainer.training.initial import initial_network
+from embodied_depth_trainer.training.progress import Progress
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.trainer import Trainer, train
 
@@ -61,6 +62,9 @@ class FleetSettings:
     """Initial weights of every ResNet18 image encoder; see `imagenet_weights.py`."""
     views: int = 200
     views_seed: int = 1000
+    init: str | None = None
+    """File of the weights to go on from, of the one network that is trained; `None`: random."""
+    amp: bool = False
 
     def training(self, network: str) -> Settings:
         """The settings of the network's authors, without labels; the learning rate falls in the second half."""
@@ -73,18 +77,29 @@ class FleetSettings:
             # Watson et al. 2021 stop teaching the teacher after three quarters.
             teacher_steps=3 * self.steps // 4,
             encoder=None if network == "student" else self.encoder,
+            init=self.init,
+            amp=self.amp,
             loss=recipe(network),
         )
 
     def plain(self) -> dict[str, Any]:
-        """The content of `result.json`, with the encoder's file name instead of its path."""
-        return {**asdict(self), "encoder": None if self.encoder is None else Path(self.encoder).name}
+        """The content of `result.json`, with the names of files instead of their paths."""
+        encoder = None if self.encoder is None else Path(self.encoder).name
+        return plain({**asdict(self), "encoder": encoder})
 
 
 class Fleet:
     """The robots, their recordings, and the trainings and results below `out`."""
 
-    def __init__(self, settings: FleetSettings, scenes: Sequence[str], out: Path, firmware_host: Path | None) -> None:
+    def __init__(
+        self,
+        settings: FleetSettings,
+        scenes: Sequence[str],
+        out: Path,
+        firmware_host: Path | None,
+        device: str = "cpu",
+    ) -> None:
+        self.device = device
         self.settings = settings
         self.scenes = scenes
         self.out = out
@@ -132,26 +147,20 @@ class Fleet:
 
     def _trained(self, policy: str, network: str, frames: Frames) -> Path:
         settings = self.settings
-        pairs = find_pairs(frames, settings.gap, PairRule())
+        pairs, validation = find_pairs(frames, settings.gap, PairRule())
         print(
             f"{self._name(policy, network)}: {len(frames)} frames, {len(pairs)} of them have source frames",
             file=sys.stderr,
         )
-        trainer = Trainer(frames, pairs, settings.training(network))
-        with tqdm(total=settings.steps, unit="step", disable=None) as bar:
-
-            def on_step(step: int, loss: float) -> None:
-                bar.n = step
-                bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
-                bar.update(0)
-
-            folder = self.out / "trainings" / self._name(policy, network)
-            return train(trainer, settings.steps, folder, CHECKPOINT_EVERY, on_step)
+        trainer = Trainer(frames, pairs, settings.training(network), self.device)
+        folder = self.out / "trainings" / self._name(policy, network)
+        with Progress(trainer, validation, settings.steps, folder) as progress:
+            return train(trainer, settings.steps, folder, CHECKPOINT_EVERY, progress)
 
     def _evaluate(self, policy: str, network: str, checkpoint: Path) -> None:
         """Evaluates the trained and the untrained network in every home."""
         saved = checkpoints.load(checkpoint)
-        untrained = build_network(network, saved.depth_range_m, self.settings.seed).eval()
+        untrained = initial_network(network, saved.depth_range_m, self.settings.seed, self.settings.init)
         trained = saved.build()
         shared = self.settings.plain()
         schedule = {key: shared.pop(key) for key in ("frames", "steps")}

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from embodied_depth_trainer.data.dataset import find_pairs
 from embodied_depth_trainer.data.frames import Frames
@@ -32,9 +31,11 @@ from embodied_depth_trainer.studies.locks import exclusive, wait_for_lock
 from embodied_depth_trainer.studies.plots import draw_curve, draw_views
 from embodied_depth_trainer.studies.robot import Exploration, Mission, find_firmware_host, render_views, robot_config
 from embodied_depth_trainer.studies.schedule import Round, Schedule
-from embodied_depth_trainer.studies.settings_file import keep_settings
+from embodied_depth_trainer.studies.settings_file import keep_settings, plain
 from embodied_depth_trainer.studies.views import Rows, Views
 from embodied_depth_trainer.training import checkpoint as checkpoints
+from embodied_depth_trainer.training.initial import initial_network
+from embodied_depth_trainer.training.progress import Progress
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.trainer import CHECKPOINT_FILE, Trainer, train
 
@@ -70,6 +71,9 @@ class LoopSettings:
     views: int = 200
     """Number of test views, which all loops of a scene share."""
     views_seed: int = 1000
+    init: str | None = None
+    """File of the weights to go on from; `None`: random."""
+    amp: bool = False
 
     def training(self) -> Settings:
         schedule = Schedule.scaled(self.scale)
@@ -80,6 +84,8 @@ class LoopSettings:
             batch=self.batch,
             learning_rate=self.learning_rate,
             decay=(before_last, last) if self.decay else None,
+            init=self.init,
+            amp=self.amp,
             loss=recipe(self.network),
         )
         if not self.labels:
@@ -89,7 +95,14 @@ class LoopSettings:
         return replace(settings, photometric_weight=0.0, coarse_weight=0.0, label_weight=1.0, uncertainty_weight=0.1)
 
 
-def run_loop(settings: LoopSettings, out: Path, firmware_host: Path | None, views: Path | None, threads: int) -> Path:
+def run_loop(
+    settings: LoopSettings,
+    out: Path,
+    firmware_host: Path | None,
+    views: Path | None,
+    threads: int,
+    device: str = "cpu",
+) -> Path:
     """Runs the loop or what is left of it, and returns the file with its result. `views` is a directory of test views
     that loops in the same scene share; the first one renders them."""
     torch.set_num_threads(threads)
@@ -98,7 +111,7 @@ def run_loop(settings: LoopSettings, out: Path, firmware_host: Path | None, view
     needs_coarse = takes_coarse(build_network(settings.network, settings.training().depth_range_m, settings.seed))
     program = find_firmware_host(firmware_host)
     with exclusive(out):
-        keep_settings(asdict(settings), out)
+        keep_settings(plain(asdict(settings)), out)
         if (out / RESULT_FILE).exists():
             return out / RESULT_FILE
         config = out / "robot.toml"
@@ -106,7 +119,8 @@ def run_loop(settings: LoopSettings, out: Path, firmware_host: Path | None, view
         write_atomically(text.encode(), config)
         dump = needs_coarse or settings.labels
         mission = Mission(program, settings.scene, settings.policy, settings.seed, config, schedule, dump)
-        return _Loop(settings, schedule, out, mission, _views(settings, mission, views or out / "views", out)).run()
+        found = _views(settings, mission, views or out / "views", out)
+        return _Loop(settings, schedule, out, mission, found, device).run()
 
 
 def _views(settings: LoopSettings, mission: Mission, folder: Path, out: Path) -> Views:
@@ -122,8 +136,11 @@ def _views(settings: LoopSettings, mission: Mission, folder: Path, out: Path) ->
 
 
 class _Loop:
-    def __init__(self, settings: LoopSettings, schedule: Schedule, out: Path, mission: Mission, views: Views) -> None:
+    def __init__(
+        self, settings: LoopSettings, schedule: Schedule, out: Path, mission: Mission, views: Views, device: str
+    ) -> None:
         self.settings = settings
+        self.device = device
         self.schedule = schedule
         self.out = out
         self.views = views
@@ -166,21 +183,17 @@ class _Loop:
     def _train(self, frames: Frames, steps: int) -> Path:
         if self.settings.labels:
             frames = replace(frames, labels=labels(frames))
-        pairs = find_pairs(frames, self.settings.gap, PairRule())
-        trainer = Trainer(frames, pairs, self.settings.training())
-        with tqdm(total=steps, unit="step", disable=None) as bar:
-
-            def on_step(step: int, loss: float) -> None:
-                bar.n = step
-                bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
-                bar.update(0)
-
-            return train(trainer, steps, self.out / "training", CHECKPOINT_EVERY, on_step)
+        pairs, validation = find_pairs(frames, self.settings.gap, PairRule())
+        trainer = Trainer(frames, pairs, self.settings.training(), self.device)
+        folder = self.out / "training"
+        with Progress(trainer, validation, steps, folder, CHECKPOINT_EVERY) as progress:
+            return train(trainer, steps, folder, CHECKPOINT_EVERY, progress)
 
     def _report(self) -> Path:
         saved = checkpoints.load(self.out / "training" / CHECKPOINT_FILE)
         # The baselines, and the beginning of the curve.
-        untrained = build_network(saved.network, saved.depth_range_m, self.settings.seed).eval()
+        settings = self.settings
+        untrained = initial_network(saved.network, saved.depth_range_m, settings.seed, settings.init)
         first = {
             "frames": 0,
             "steps": 0,
@@ -189,7 +202,7 @@ class _Loop:
         points = [json.loads(self._point(round_.index).read_text()) for round_ in self.schedule.rounds()]
         summary = self.exploration.summary()
         result: dict[str, Any] = {
-            "settings": asdict(self.settings),
+            "settings": plain(asdict(settings)),
             "schedule": asdict(self.schedule),
             "exploration": {key: summary[key] for key in KEPT_OF_SUMMARY if key in summary},
             "curve": [first, *points],

@@ -8,8 +8,16 @@ from typing import Any
 
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
+from embodied_depth_trainer.training.initial import identity
 
 SETTINGS_FILE = "settings.json"
+
+
+def plain(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings as they are stored: initial weights by name and digest instead of by path. These options are stored only
+    if they are used, so that studies from before they existed stay comparable."""
+    used = {**settings, "init": identity(settings["init"])}
+    return {key: value for key, value in used.items() if key not in ("init", "amp") or value}
 
 
 def keep_settings(settings: dict[str, Any], out: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.past_frames import GAP
 from embodied_depth_trainer.losses.reprojection import LossOptions
+from embodied_depth_trainer.training.initial import identity
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,9 @@ class Settings:
     """Columns of each target that a step uses, a multiple of 32; 0: all."""
     decay: tuple[int, int] | None = None
     """The learning rate falls to 0 along half a cosine from the first of these steps to the second."""
+    cycle: int | None = None
+    """The learning rate falls to 0 along half a cosine within this many steps, again and again (Loshchilov and Hutter
+    2017), for trainings without an end."""
     teacher_steps: int = 2000
     """Number of steps for which ManyDepth's single-frame teacher is trained."""
     past_frames: int = 0
@@ -42,15 +46,20 @@ class Settings:
     past_gap: int = GAP
     encoder: str | None = None
     """Initial weights of the image encoder, a file or `imagenet`; `None`: random; see `imagenet_weights.py`."""
+    init: str | None = None
+    """File of the weights to go on from, a checkpoint or an ONNX file; `None`: random; see `initial.py`."""
     amp: bool = False
     """Computes convolutions in bfloat16; loss and weights stay in float32."""
     loss: LossOptions = field(default_factory=LossOptions)
 
     def learning_rate_at(self, step: int) -> float:
-        if self.decay is None:
+        if self.decay is not None:
+            first, last = self.decay
+            share = min(max((step - first) / (last - first), 0.0), 1.0)
+        elif self.cycle is not None:
+            share = step % self.cycle / self.cycle
+        else:
             return self.learning_rate
-        first, last = self.decay
-        share = min(max((step - first) / (last - first), 0.0), 1.0)
         return self.learning_rate * 0.5 * (1 + math.cos(math.pi * share))
 
     def as_dict(self, frames: Frames) -> dict[str, Any]:
@@ -59,4 +68,5 @@ class Settings:
         plain["depth_range_m"] = list(self.depth_range_m)
         plain["decay"] = None if self.decay is None else list(self.decay)
         plain["camera"] = asdict(frames.camera)
+        plain["init"] = identity(self.init)
         return plain

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ IMAGES_EVERY = 200
 
 
 class Board:
-    """Writes the loss, and at intervals an image above its predicted disparity."""
+    """Writes the loss and its parts, at intervals an image above its predicted disparity, and every validation."""
 
     def __init__(self, folder: Path, trainer: Trainer) -> None:
         try:
@@ -31,8 +33,17 @@ class Board:
     def record(self, step: int, loss: float) -> None:
         if step % SCALARS_EVERY == 0:
             self.writer.add_scalar("loss", loss, step)
+            for name, part in self.trainer.parts.items():
+                self.writer.add_scalar(f"training/{name}", float(part), step)
         if step % IMAGES_EVERY == 0:
             self.writer.add_image("image and disparity", self._image(), step)
+
+    def report(self, step: int, numbers: Mapping[str, float]) -> None:
+        """Writes the numbers of a validation by their names."""
+        for name, value in numbers.items():
+            if math.isfinite(value) and name != "loss":
+                # A group of the parts: `validation: labels` becomes `validation/labels`.
+                self.writer.add_scalar(name.replace(": ", "/"), value, step)
 
     def close(self) -> None:
         self.writer.close()

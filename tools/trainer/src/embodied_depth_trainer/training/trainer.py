@@ -7,16 +7,17 @@ stopped, bit by bit on the CPU with the same number of threads.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from embodied_depth_trainer import processes
-from embodied_depth_trainer.data.batches import Batch, make_batch, to_depth
+from embodied_depth_trainer.data.batches import Batch, coarse_dropout_mask, make_batch, to_depth
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.pairs import Pairs
 from embodied_depth_trainer.data.prefetch import Prefetcher
@@ -25,8 +26,9 @@ from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.losses.depth_supervision import coarse_error, correctness_nll, label_error, laplace_nll
 from embodied_depth_trainer.losses.lidar import lidar_error
-from embodied_depth_trainer.losses.reprojection import View, self_supervision
+from embodied_depth_trainer.losses.reprojection import View, supervision_parts
 from embodied_depth_trainer.networks.cost_volume import volume_planes
+from embodied_depth_trainer.networks.exported import restore_statistics
 from embodied_depth_trainer.networks.imagenet_weights import load_imagenet
 from embodied_depth_trainer.networks.inputs import second_input
 from embodied_depth_trainer.networks.manydepth import ManyDepth, VolumeAugmentation
@@ -34,11 +36,25 @@ from embodied_depth_trainer.networks.registry import SIZE_STEP, build_network, o
 from embodied_depth_trainer.training import checkpoint as checkpoints
 from embodied_depth_trainer.training.checkpoint import Checkpoint
 from embodied_depth_trainer.training.heap import keep_freed_memory
-from embodied_depth_trainer.training.objectives import bidirectional_loss, manydepth_loss
+from embodied_depth_trainer.training.initial import STATISTICS_BATCHES, is_exported, load_initial
+from embodied_depth_trainer.training.objectives import bidirectional_parts, manydepth_parts
 from embodied_depth_trainer.training.settings import Settings
 
 CHECKPOINT_FILE = "checkpoint.pt"
 BAD_BATCH_FILE = "bad_batch.pt"
+
+
+# Seed of what validation drops, which no option changes, so that trainings can be compared.
+VALIDATION_SEED = 77
+# The part of the loss that trains the predicted scale of the error and not depth.
+UNCERTAINTY = "uncertainty"
+
+
+def total(parts: Mapping[str, Tensor]) -> Tensor:
+    """The sum of the parts of a loss. Scalar."""
+    if not parts:
+        raise TrainerError("every weight of the loss is 0, so there is nothing to train; give one of them a weight")
+    return torch.stack(list(parts.values())).sum()
 
 
 class NotFiniteError(TrainerError):
@@ -67,9 +83,9 @@ class Trainer:
                 f"{lost.sum()} of {len(frames)} poses are not finite, the first is {int(lost.argmax())}; "
                 "remove these frames"
             )
-        if settings.amp and settings.network == "student":
+        if settings.init is not None and settings.encoder is not None:
             raise TrainerError(
-                "bfloat16 is too coarse for the student's last layer and speeds it up little; omit --amp"
+                f"--init {settings.init} would replace the weights of --encoder {settings.encoder}; give one of the two"
             )
         if settings.lidar_weight > 0 and frames.lidar is None:
             raise TrainerError(
@@ -82,6 +98,8 @@ class Trainer:
         network = build_network(settings.network, settings.depth_range_m, settings.seed)
         if settings.encoder is not None:
             load_imagenet(network, settings.encoder)
+        if settings.init is not None:
+            load_initial(network, settings.network, settings.depth_range_m, settings.init)
         # Channels last, which convolutions on CPUs prefer.
         network = network.to(device).to(memory_format=torch.channels_last)
         self.network = processes.share_batch_norms(network)
@@ -98,13 +116,17 @@ class Trainer:
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate, fused=True)
         self.projector = Projector(frames.camera, device)
         self.step = 0
+        self.parts: dict[str, Tensor] = {}
+        if settings.init is not None and is_exported(settings.init):
+            self._restore_statistics()
         self.batches = Prefetcher(self.batch)
 
     def resume(self, saved: Checkpoint, file: Path) -> None:
         """Continues from a checkpoint of the same settings."""
         now = self.settings.as_dict(self.frames)
-        if saved.settings != now:
-            different = [key for key in now if saved.settings.get(key) != now[key]]
+        # Settings that did not exist yet were off, as `None` is.
+        different = [key for key in now if saved.settings.get(key) != now[key]]
+        if different:
             was = {key: saved.settings.get(key) for key in different}
             raise TrainerError(
                 f"{file} was trained with {was}, now "
@@ -120,7 +142,10 @@ class Trainer:
         return Checkpoint(self.step, self.settings.network, settings, weights, self.optimizer.state_dict())
 
     def batch(self, step: int) -> Batch:
-        """The batch of a step."""
+        """This process's share of the batch of a step."""
+        return self._whole_batch(step).share(processes.rank(), processes.count())
+
+    def _whole_batch(self, step: int) -> Batch:
         random = np.random.default_rng([self.settings.seed, step])
         targets, sources = self.pairs.sample(self.settings.batch, random)
         augment = random if self.settings.augment else None
@@ -130,7 +155,19 @@ class Trainer:
         if width:
             places = (self.frames.camera.width - width) // SIZE_STEP + 1
             batch = batch.cropped(SIZE_STEP * int(random.integers(places)), width)
-        return batch.share(processes.rank(), processes.count())
+        return batch
+
+    def fixed_batch(self, target: int, sources: NDArray[np.int64]) -> Batch:
+        """A batch of one frame for validation: colours as they are, coarse depth dropped as in training but the same
+        way every time."""
+        one = np.array([target], np.int64)
+        batch = make_batch(self.frames, one, sources[None], self.settings.depth_range_m, None, self.device)
+        if isinstance(self.network, ManyDepth):
+            return self._with_volume(batch, None)
+        if self.settings.augment and self.frames.coarse is not None:
+            kept = coarse_dropout_mask(batch.coarse.shape, np.random.default_rng([VALIDATION_SEED, target]))
+            batch = replace(batch, coarse=batch.coarse * kept.to(batch.coarse.device))
+        return batch
 
     def _with_volume(self, batch: Batch, random: np.random.Generator | None) -> Batch:
         """Replaces coarse depth by the cost volume, which is augmented at random if `random` is given."""
@@ -143,33 +180,51 @@ class Trainer:
             planes[torch.from_numpy(augmentation.empty).to(planes.device)] = 0
         return replace(batch, coarse=planes)
 
+    def _restore_statistics(self) -> None:
+        """Gives the batch norms of a loaded ONNX file the statistics of the first batches."""
+        batches = (self._whole_batch(step) for step in range(STATISTICS_BATCHES))
+        takes_two = takes_coarse(self.network)
+        inputs = ((b.augmented, b.coarse) if takes_two else (b.augmented,) for b in batches)
+        restore_statistics(self.network, inputs)
+
     def loss(self, batch: Batch) -> Tensor:
+        """The loss of a batch. Scalar."""
+        return total(self.loss_parts(batch))
+
+    def loss_parts(self, batch: Batch) -> dict[str, Tensor]:
+        """The weighted parts of the loss, which add up to it. Scalars."""
         if isinstance(self.network, ManyDepth):
-            return manydepth_loss(self, batch)
+            return manydepth_parts(self, batch)
         if self.settings.loss.both_ways:
-            return bidirectional_loss(self, batch)
-        return self.loss_of(batch, *self.predict(batch.augmented, batch.coarse))
+            return bidirectional_parts(self, batch)
+        return self.parts_of(batch, *self.predict(batch.augmented, batch.coarse))
 
     def loss_of(self, batch: Batch, disparity: Tensor, log_scale: Tensor | None) -> Tensor:
-        """The loss of a prediction."""
+        """The loss of a prediction. Scalar."""
+        return total(self.parts_of(batch, disparity, log_scale))
+
+    def parts_of(self, batch: Batch, disparity: Tensor, log_scale: Tensor | None) -> dict[str, Tensor]:
+        """The weighted parts of the loss of a prediction. Scalars."""
         settings = self.settings
         depth_m = to_depth(disparity, settings.depth_range_m)
-        loss = depth_m.new_zeros(())
+        parts: dict[str, Tensor] = {}
         if settings.photometric_weight > 0:
-            loss = settings.photometric_weight * self._photometric(batch, depth_m)
+            found = self._photometric(batch, depth_m)
+            parts |= {name: settings.photometric_weight * part for name, part in found.items()}
         if settings.coarse_weight > 0 and self.frames.coarse is not None:
-            loss = loss + settings.coarse_weight * coarse_error(depth_m, batch.coarse_full, settings.depth_range_m)
+            error = coarse_error(depth_m, batch.coarse_full, settings.depth_range_m)
+            parts["coarse depth"] = settings.coarse_weight * error
         if settings.label_weight > 0 and batch.labels is not None:
-            loss = loss + settings.label_weight * label_error(depth_m, batch.labels)
+            parts["labels"] = settings.label_weight * label_error(depth_m, batch.labels)
         if settings.lidar_weight > 0 and batch.lidar is not None:
-            loss = loss + settings.lidar_weight * lidar_error(depth_m, batch.lidar)
+            parts["lidar"] = settings.lidar_weight * lidar_error(depth_m, batch.lidar)
         if log_scale is not None:
             if batch.labels is None:
                 nll = laplace_nll(depth_m.detach(), log_scale, batch.coarse_full, settings.depth_range_m)
             else:
                 nll = correctness_nll(depth_m.detach(), log_scale, batch.labels)
-            loss = loss + settings.uncertainty_weight * nll
-        return loss
+            parts[UNCERTAINTY] = settings.uncertainty_weight * nll
+        return parts
 
     def predict(self, rgb: Tensor, second: Tensor) -> tuple[Tensor, Tensor | None]:
         """The network's prediction; see `output_of`."""
@@ -184,24 +239,25 @@ class Trainer:
         """Generator of the noise that breaks the auto-mask's ties in this step."""
         return torch.Generator().manual_seed(self.step) if self.settings.loss.auto_mask else None
 
-    def _photometric(self, batch: Batch, depth_m: Tensor) -> Tensor:
+    def _photometric(self, batch: Batch, depth_m: Tensor) -> dict[str, Tensor]:
         options = self.settings.loss
         views = []
         for index, (image, pose) in enumerate(zip(batch.source_images, batch.t_source_target, strict=True)):
             predicted = self._source_depth(batch, index) if options.geometry > 0 else None
             views.append(View(image, self.projector(depth_m, pose, batch.left), predicted))
         # Physical disparity instead of x, because the mean normalisation is meant for 1/depth.
-        return self_supervision(batch.image, 1 / depth_m, views, options, self.noise())
+        return supervision_parts(batch.image, 1 / depth_m, views, options, self.noise())
 
     @torch.no_grad()
     def _source_depth(self, batch: Batch, view: int) -> Tensor:
         """The network's depth of a source, without updating batch statistics."""
+        was_training = self.network.training
         self.network.eval()
         index = batch.sources[:, view]
         range_m = self.settings.depth_range_m
         second = second_input(self.network, self.frames, index, range_m, self.device)
         disparity, _ = self.predict(batch.source_images[view], second)
-        self.network.train()
+        self.network.train(was_training)
         return to_depth(disparity, self.settings.depth_range_m)
 
     def advance(self) -> tuple[float, Batch]:
@@ -212,7 +268,8 @@ class Trainer:
             group["lr"] = self.settings.learning_rate_at(self.step)
         self.network.train()
         self.optimizer.zero_grad(set_to_none=True)
-        loss = self.loss(batch)
+        parts = self.loss_parts(batch)
+        loss = total(parts)
         loss.backward()  # type: ignore[no-untyped-call]
         processes.average_gradients(self.network)
         norm = nn.utils.get_total_norm([p.grad for p in self.network.parameters() if p.grad is not None])
@@ -221,6 +278,7 @@ class Trainer:
             raise _BadBatchError(batch, value)
         self.optimizer.step()
         self.step += 1
+        self.parts = {name: part.detach() for name, part in parts.items()}
         return value, batch
 
 
