@@ -4,6 +4,8 @@
 //!   [`can::protocol::MotorProtocol`]; `examples/new_motor_protocol.rs` shows how to add one.
 //! * [`scip`] is the protocol of Hokuyo's laser scanners, and [`hokuyo`] the driver that speaks it
 //!   over a serial port or TCP.
+//! * [`rplidar`] and [`ld06`] are protocols and drivers of scanners that rotate slowly; [`rotary`] is
+//!   what they share. [`lidar`] is whichever scanner the configuration names.
 //! * [`v4l2`] is the driver for cameras of Linux's Video4Linux2.
 //! * [`fault`] wraps any device and injects faults, for tests and simulated runs.
 //!
@@ -14,8 +16,14 @@
 pub mod can;
 pub mod fault;
 pub mod hokuyo;
+pub mod ld06;
+pub mod lidar;
+pub mod rotary;
+pub mod rplidar;
+mod scanner;
 pub mod scip;
 pub mod status;
 pub mod v4l2;
 
+pub use scanner::{FixedFramer, Identity, LidarMonitor, Port, PortError};
 pub use status::{DeviceState, DeviceStatus};

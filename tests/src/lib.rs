@@ -6,9 +6,13 @@
 
 pub mod hokuyo;
 pub mod kills;
+pub mod ld06;
 pub mod motor;
 mod noise;
+mod port;
 pub mod rig;
+pub mod rotary;
+pub mod rplidar;
 pub mod scenario;
 pub mod sshd;
 pub mod video;

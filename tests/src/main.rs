@@ -19,6 +19,16 @@ struct Arguments {
 enum Device {
     /// Simulate a Hokuyo LiDAR on a pty, a serial port or TCP.
     Hokuyo(hil::hokuyo::HokuyoArgs),
+    /// Simulate a Slamtec RPLIDAR on a pty or a serial port.
+    Rplidar {
+        /// Model: a1, a2, a3 or s2.
+        #[arg(long, default_value = "a1", value_parser = rplidar_model)]
+        model: drivers::rplidar::Model,
+        #[command(flatten)]
+        args: hil::rotary::RotaryArgs,
+    },
+    /// Simulate an LDROBOT LD06 or LD19 on a pty or a serial port.
+    Ld06(hil::rotary::RotaryArgs),
     /// Simulate a camera behind a Unix socket.
     Camera(hil::video::CameraArgs),
     /// Check drivers against the kernel's devices; used by `cargo xtask rig`.
@@ -31,6 +41,17 @@ enum Device {
     Sshd(hil::sshd::SshdArgs),
     /// Run the real base driver on a CAN bus and drive straight ahead.
     Base(hil::motor::BaseArgs),
+}
+
+fn rplidar_model(text: &str) -> Result<drivers::rplidar::Model, String> {
+    use drivers::rplidar::Model;
+    match text {
+        "a1" => Ok(Model::A1),
+        "a2" => Ok(Model::A2),
+        "a3" => Ok(Model::A3),
+        "s2" => Ok(Model::S2),
+        _ => Err(format!("`{text}` is not one of a1, a2, a3, s2")),
+    }
 }
 
 fn main() -> ExitCode {
@@ -46,6 +67,8 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> Result<(), Box<dyn Error>> {
     match &arguments.device {
         Device::Hokuyo(arguments) => hil::hokuyo::run(arguments),
+        Device::Rplidar { model, args } => hil::rotary::run(args, Some(*model)),
+        Device::Ld06(args) => hil::rotary::run(args, None),
         Device::Camera(args) => hil::video::run(args),
         Device::RigProbe(args) => hil::rig::run(args),
         Device::World(args) => hil::world::run(args),

@@ -5,11 +5,12 @@ use std::sync::Arc;
 
 use hal::ErrorKind;
 
+use crate::scanner::{LinkError, remedy};
 use crate::scip::{Model, ScipError};
 
 /// [`poll_scan`](hal::Lidar::poll_scan) returns only the first four variants, which do not
 /// allocate. The other variants are the detailed reasons, whose texts
-/// [`problem`](super::HokuyoMonitor::problem) returns.
+/// [`problem`](crate::LidarMonitor::problem) returns.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HokuyoError {
@@ -146,19 +147,11 @@ impl hal::Error for HokuyoError {
     }
 }
 
-/// The remedy when a port cannot be opened.
-fn remedy(error: &io::Error) -> &'static str {
-    match error.kind() {
-        io::ErrorKind::NotFound => "is it plugged in? the driver waits for it",
-        io::ErrorKind::PermissionDenied => {
-            "add the user to the group `dialout` or install the udev rules"
+impl From<LinkError> for HokuyoError {
+    fn from(error: LinkError) -> Self {
+        match error {
+            LinkError::Open { port, source } => Self::Open { port, source },
+            LinkError::Gone { port, source } => Self::Gone { port, source },
         }
-        io::ErrorKind::WouldBlock | io::ErrorKind::ResourceBusy => {
-            "another program has opened it; stop that program"
-        }
-        io::ErrorKind::ConnectionRefused => {
-            "the address exists but refuses the connection; check `port` and the scanner's power"
-        }
-        _ => "check cable and `port`; the driver tries again",
     }
 }

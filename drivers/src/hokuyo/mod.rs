@@ -21,39 +21,25 @@
 
 mod config;
 mod error;
-mod link;
 mod reader;
 mod session;
-mod shared;
 
-pub use config::{HokuyoConfig, Port};
+pub use crate::scanner::{Identity, Port};
+pub use config::HokuyoConfig;
 pub use error::HokuyoError;
-pub use shared::{HokuyoMonitor, Identity};
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering::{Acquire, Relaxed};
-use std::thread::JoinHandle;
 
-use hal::{ErrorType, LaserScan, Lidar, Range, ScanGeometry};
-use rustix::event::{EventfdFlags, eventfd};
-use triple_buffer::{Output, triple_buffer};
+use hal::{ErrorType, LaserScan, Lidar, ScanGeometry};
 
-use crate::{DeviceState, DeviceStatus};
-use link::Stop;
-use monotonic_clock::monotonic_ns;
+use crate::DeviceStatus;
+use crate::scanner::{LidarMonitor, PollError, Polled};
 use reader::Reader;
 
 /// The driver of one scanner. Dropping it switches the laser off.
 #[derive(Debug)]
 pub struct HokuyoLidar {
-    scans: Output<LaserScan>,
-    geometry: ScanGeometry,
-    port: Arc<str>,
-    monitor: HokuyoMonitor,
-    /// The number of bad scans that were already reported to the caller.
-    bad_reported: u64,
-    stop: Stop,
-    reader: Option<JoinHandle<()>>,
+    polled: Polled,
 }
 
 impl HokuyoLidar {
@@ -66,58 +52,22 @@ impl HokuyoLidar {
         config.validate()?;
         let port: Arc<str> = config.port.to_string().into();
         let geometry = config.model.geometry(config.upside_down);
-        let empty = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Error; geometry.beams] };
-        let (input, scans) = triple_buffer(&empty);
-        let stop_event = eventfd(0, EventfdFlags::CLOEXEC)
-            .map_err(|error| HokuyoError::Open { port: port.clone(), source: error.into() })?;
-        let stop: Stop = Arc::new(stop_event);
-        let monitor = HokuyoMonitor { shared: Arc::default() };
-        monitor.shared.set_state(DeviceState::Disconnected);
-        let reader = Reader {
-            config,
-            port: port.clone(),
-            shared: monitor.shared.clone(),
-            scans: input,
-            stop: stop.clone(),
-        };
-        let thread = std::thread::Builder::new()
-            .name("hokuyo".to_owned())
-            .spawn(|| reader.run())
-            .map_err(|source| HokuyoError::Open { port: port.clone(), source })?;
-        Ok(Self { scans, geometry, port, monitor, bad_reported: 0, stop, reader: Some(thread) })
+        let polled = Polled::start("hokuyo", port.clone(), geometry, move |end| {
+            Reader { config, port, shared: end.shared, scans: end.scans, stop: end.stop }.run();
+        })?;
+        Ok(Self { polled })
     }
 
     /// The scanner's state and counts. Takes no lock.
     #[must_use]
     pub fn status(&self) -> DeviceStatus {
-        self.monitor.status()
+        self.polled.monitor().status()
     }
 
     /// A handle with which other threads read the state, the identity and the last problem.
     #[must_use]
-    pub fn monitor(&self) -> HokuyoMonitor {
-        self.monitor.clone()
-    }
-
-    /// Returns an error if no scan can be returned now.
-    fn check_alive(&self) -> Result<(), HokuyoError> {
-        let limit_ns = 2 * self.geometry.period_ns;
-        let is_silent = match self.monitor.shared.state() {
-            DeviceState::Starting | DeviceState::Disconnected => {
-                return Err(HokuyoError::Disconnected { port: self.port.clone() });
-            }
-            DeviceState::Faulty => return Err(HokuyoError::Faulty { port: self.port.clone() }),
-            DeviceState::Silent => true,
-            DeviceState::Working => {
-                let last_ns = self.monitor.shared.last_good_ns.load(Acquire);
-                monotonic_ns().saturating_sub(last_ns) > limit_ns
-            }
-        };
-        if is_silent {
-            let limit_ms = limit_ns / 1_000_000;
-            return Err(HokuyoError::Silent { port: self.port.clone(), limit_ms });
-        }
-        Ok(())
+    pub fn monitor(&self) -> LidarMonitor {
+        self.polled.monitor().clone()
     }
 }
 
@@ -127,33 +77,18 @@ impl ErrorType for HokuyoLidar {
 
 impl Lidar for HokuyoLidar {
     fn geometry(&self) -> ScanGeometry {
-        self.geometry
+        self.polled.geometry()
     }
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Self::Error> {
-        // The scan is taken before the check, so that a scan from before a fault is not returned
-        // after it.
-        let is_new = self.scans.update();
-        let bad = self.monitor.shared.bad.load(Relaxed);
-        let has_dropped = std::mem::replace(&mut self.bad_reported, bad) != bad;
-        self.check_alive()?;
-        if is_new {
-            let newest = self.scans.output_buffer();
-            scan.time_ns = newest.time_ns;
-            scan.geometry = newest.geometry;
-            scan.ranges.clone_from(&newest.ranges);
-            return Ok(true);
-        }
-        if has_dropped { Err(HokuyoError::Corrupt { port: self.port.clone() }) } else { Ok(false) }
-    }
-}
-
-impl Drop for HokuyoLidar {
-    fn drop(&mut self) {
-        _ = rustix::io::write(&*self.stop, &1_u64.to_ne_bytes());
-        if let Some(reader) = self.reader.take() {
-            _ = reader.join();
-        }
+        let polled = self.polled.poll(scan);
+        let port = || self.polled.port().clone();
+        polled.map_err(|error| match error {
+            PollError::Disconnected => HokuyoError::Disconnected { port: port() },
+            PollError::Silent { limit_ms } => HokuyoError::Silent { port: port(), limit_ms },
+            PollError::Corrupt => HokuyoError::Corrupt { port: port() },
+            PollError::Faulty => HokuyoError::Faulty { port: port() },
+        })
     }
 }
 
@@ -161,12 +96,13 @@ impl Drop for HokuyoLidar {
 mod tests {
     use super::*;
     use hal::{Error, ErrorKind};
+    use monotonic_clock::monotonic_ns;
 
     #[test]
     fn the_driver_and_its_monitor_can_be_sent_to_other_threads() {
         fn is_send<T: Send>() {}
         is_send::<HokuyoLidar>();
-        is_send::<HokuyoMonitor>();
+        is_send::<LidarMonitor>();
     }
 
     #[test]
@@ -187,36 +123,5 @@ mod tests {
         );
         let mut scan = LaserScan::empty(lidar.geometry());
         assert_eq!(lidar.poll_scan(&mut scan).unwrap_err().kind(), ErrorKind::Disconnected);
-    }
-
-    /// A driver without a reader thread, whose last good scan has just arrived.
-    fn working_without_reader() -> HokuyoLidar {
-        let geometry = ScanGeometry::UTM_30LX;
-        let (_, scans) = triple_buffer(&LaserScan::empty(geometry));
-        let monitor = HokuyoMonitor { shared: Arc::default() };
-        monitor.shared.set_state(DeviceState::Working);
-        // An hour in the future, so that a slow test computer does not cause a time-out.
-        monitor.shared.last_good_ns.store(monotonic_ns() + 3_600_000_000_000, Relaxed);
-        HokuyoLidar {
-            scans,
-            geometry,
-            port: "test".into(),
-            monitor,
-            bad_reported: 0,
-            stop: Arc::new(eventfd(0, EventfdFlags::CLOEXEC).unwrap()),
-            reader: None,
-        }
-    }
-
-    #[test]
-    fn dropped_scans_are_reported_exactly_once_as_corrupt() {
-        let mut lidar = working_without_reader();
-        let mut scan = LaserScan::empty(lidar.geometry());
-        assert!(!lidar.poll_scan(&mut scan).unwrap());
-        for dropped in [1, 3] {
-            lidar.monitor.shared.bad.fetch_add(dropped, Relaxed);
-            assert_eq!(lidar.poll_scan(&mut scan).unwrap_err().kind(), ErrorKind::Corrupt);
-            assert!(!lidar.poll_scan(&mut scan).unwrap(), "reported twice");
-        }
     }
 }

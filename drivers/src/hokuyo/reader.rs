@@ -6,17 +6,13 @@ use std::sync::atomic::Ordering::{Relaxed, Release};
 use hal::{LaserScan, Range};
 use triple_buffer::Input;
 
-use super::link::{Link, Received, Stop, wait_for_stop};
 use super::session::{End, Session};
-use super::shared::Shared;
 use super::{HokuyoConfig, HokuyoError};
 use crate::DeviceState;
+use crate::scanner::{FIRST_WAIT_NS, Link, Received, Shared, Stop, keep_trying};
 use crate::scip::{ClockSync, Command, Reply, Request, ScipError};
 use monotonic_clock::monotonic_ns;
 
-/// Delay between two attempts to open the port, doubled after each failure.
-const FIRST_WAIT_NS: u64 = 50_000_000;
-const LONGEST_WAIT_NS: u64 = 1_000_000_000;
 /// Time-out of the first scan, because the motor may have to start.
 const FIRST_SCAN_NS: u64 = 3_000_000_000;
 /// After this many periods without a valid scan, the scanner is set up again: it was restarted, or
@@ -36,36 +32,15 @@ pub(super) struct Reader {
 impl Reader {
     /// Runs until the driver is dropped.
     pub(super) fn run(mut self) {
-        let mut wait_ns = FIRST_WAIT_NS;
-        let mut was_alive = false;
-        loop {
-            let good_before = self.shared.good.load(Relaxed);
-            let End::Failed(error) = self.session(was_alive) else { return };
-            self.report(&error);
-            if self.shared.good.load(Relaxed) > good_before {
-                was_alive = true;
-                wait_ns = FIRST_WAIT_NS;
-            }
-            if wait_for_stop(&self.stop, monotonic_ns() + wait_ns) {
-                return;
-            }
-            wait_ns = (wait_ns * 2).min(LONGEST_WAIT_NS);
-        }
-    }
-
-    fn report(&self, error: &HokuyoError) {
-        self.shared.set_state(match hal::Error::kind(error) {
-            hal::ErrorKind::Timeout => DeviceState::Silent,
-            hal::ErrorKind::Fault | hal::ErrorKind::Unsupported => DeviceState::Faulty,
-            _ => DeviceState::Disconnected,
-        });
-        self.shared.set_problem(error.to_string());
+        let shared = self.shared.clone();
+        let stop = self.stop.clone();
+        keep_trying(&shared, &stop, |was_alive| self.session(was_alive));
     }
 
     fn session(&mut self, was_alive: bool) -> End {
         let link = match Link::open(&self.config.port, self.config.baud, &self.port, &self.stop) {
             Ok(link) => link,
-            Err(error) => return End::Failed(error),
+            Err(error) => return error.into(),
         };
         let mut session = Session::new(link, &self.config, &self.port);
         let clock = match session.bring_up() {
@@ -137,7 +112,7 @@ impl<'a> Stream<'a> {
             let deadline_ns = if self.is_working() { silent_ns } else { valid_ns + give_up_ns };
             let received = match session.link.read(session.framer.free_space(), deadline_ns) {
                 Ok(received) => received,
-                Err(error) => return End::Failed(error),
+                Err(error) => return error.into(),
             };
             let now_ns = monotonic_ns();
             match received {

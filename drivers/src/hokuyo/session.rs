@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::link::{Link, Received};
-use super::{HokuyoConfig, HokuyoError, Identity};
+use super::{HokuyoConfig, HokuyoError};
+use crate::scanner::{Identity, Link, LinkError, Received};
 use crate::scip::{
     Answer, ClockSync, Command, Framer, Parameters, ScipError, State, TimeProbe, Version,
 };
@@ -28,16 +28,11 @@ pub(super) struct Session<'a> {
 }
 
 /// Why a session ended or could not be started.
-pub(super) enum End {
-    /// The driver is being dropped.
-    Stopped,
-    /// An error. The reader tries again later.
-    Failed(HokuyoError),
-}
+pub(super) type End = crate::scanner::End<HokuyoError>;
 
-impl From<HokuyoError> for End {
-    fn from(error: HokuyoError) -> Self {
-        Self::Failed(error)
+impl From<LinkError> for End {
+    fn from(error: LinkError) -> Self {
+        Self::Failed(error.into())
     }
 }
 

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use drivers::can::protocol::MotorStatus;
 use drivers::can::{BaseConfig, CanError, DifferentialBase, Protocol, open_bus};
-use drivers::hokuyo::{HokuyoConfig, HokuyoLidar, Port};
+use drivers::lidar::{AnyLidar, LidarConfig};
 use drivers::v4l2::node::FourCc;
 use drivers::v4l2::{self, CameraDeviceConfig, CameraFormat, V4l2Camera, V4l2Error};
-use drivers::{DeviceState, DeviceStatus};
+use drivers::{DeviceState, DeviceStatus, Port};
 use hal::{Base, Camera, CameraModel, Clock, ErrorKind, Frame, LaserScan, Lidar};
 use monotonic_clock::MonotonicClock;
 
@@ -180,9 +180,9 @@ fn list_formats(formats: &[FourCc]) -> String {
     words.join(", ")
 }
 
-fn test_lidar(config: &HokuyoConfig) -> Finding {
+fn test_lidar(config: &LidarConfig) -> Finding {
     let path = || config.port.to_string();
-    let mut device = match HokuyoLidar::open(config.clone()) {
+    let mut device = match AnyLidar::open(config) {
         Ok(device) => device,
         Err(error) => {
             return Finding::unusable(

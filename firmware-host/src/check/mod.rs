@@ -2,6 +2,7 @@
 
 mod devices;
 mod nearby;
+mod speed;
 mod view;
 
 use std::path::Path;
@@ -15,6 +16,7 @@ use crate::config::{Config, DEFAULT_FILE};
 use crate::report::fit;
 use crate::run::status::{STALE_S, Status, unix_s};
 use devices::Finding;
+pub use speed::Speed;
 use view::View;
 
 /// Prints the effective configuration, or the commented defaults if there is no file. With `--devices` it prints the state of
@@ -41,7 +43,7 @@ pub fn run(args: &CheckArgs) -> Result<ExitCode> {
         print!(
             "# {} is valid.{remark}\n{}\n# Effective configuration:\n\n{}",
             path.display(),
-            comments(&View::new(&config)),
+            comments(&config),
             config.to_toml()?
         );
         return Ok(ExitCode::SUCCESS);
@@ -54,6 +56,8 @@ pub fn run(args: &CheckArgs) -> Result<ExitCode> {
     for sentence in View::new(&config).sentences() {
         println!("{}", fit::text(&format!("    view: {sentence}"), columns));
     }
+    let speed = format!("    speed: {}", Speed::new(&config).sentence());
+    println!("{}", fit::text(&speed, columns));
     Ok(if findings.iter().all(|finding| finding.is_usable) {
         ExitCode::SUCCESS
     } else {
@@ -67,11 +71,12 @@ fn names_devices(path: &Path) -> Result<bool> {
     Ok(table.contains_key("devices"))
 }
 
-/// What is not seen, as comments of a configuration file.
-fn comments(view: &View) -> String {
-    let lines: Vec<String> =
-        view.sentences().into_iter().map(|sentence| format!("# View: {sentence}.")).collect();
-    lines.join("\n")
+/// What is not seen and how fast the robot may drive, as comments of a configuration file.
+fn comments(config: &Config) -> String {
+    let view = View::new(config).sentences();
+    let view = view.into_iter().map(|sentence| format!("# View: {sentence}."));
+    let speed = format!("# Speed: {}.", Speed::new(config).sentence());
+    view.chain(std::iter::once(speed)).collect::<Vec<_>>().join("\n")
 }
 
 /// Initializing a motor that another program drives would disturb that program.

@@ -17,6 +17,9 @@ pub(super) fn file(document: &DeTable<'_>, text: &str) -> Vec<Problem> {
     checker.problems.into_iter().map(|(_, problem)| problem).collect()
 }
 
+/// The time-out of scans is at least this many of the scanner's longest periods, because scans also wait in the computer.
+const SPARE_TIME: f64 = 1.25;
+
 struct Checker<'a> {
     text: &'a str,
     /// Each problem with the byte offset at which it begins.
@@ -207,8 +210,26 @@ pub(super) fn devices(config: &Config) -> Vec<Problem> {
         ("devices.camera", devices.camera.check().map_err(|error| error.to_string())),
         ("devices.lens", frames_can_be_converted(config)),
         ("devices.lidar", devices.lidar.validate().map_err(|error| error.to_string())),
+        ("safety", scans_arrive_in_time(config)),
         ("devices.base", devices.base.validate().map_err(|error| error.to_string())),
     ])
+}
+
+/// A scanner that works must not count as silent.
+fn scans_arrive_in_time(config: &Config) -> Result<(), String> {
+    let lidar = &config.devices.lidar;
+    let needed_s = SPARE_TIME * lidar.longest_period_s();
+    let timeout_s = config.safety.scan_timeout_s;
+    if timeout_s >= needed_s {
+        return Ok(());
+    }
+    Err(format!(
+        "`scan_timeout_s = {timeout_s}` is too short for the {}, whose scans may come {:.3} s apart: the robot would stop between \
+         two of them; set it to {:.2}. The robot drives slower with a slow scanner (`firmware-host check`)",
+        lidar.name(),
+        lidar.longest_period_s(),
+        2.0 * lidar.longest_period_s()
+    ))
 }
 
 /// The camera's frames must show a part of what perception works on.

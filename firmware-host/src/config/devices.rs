@@ -1,10 +1,10 @@
 //! `[run]` and `[devices]`: what only a real robot has.
 
 use drivers::can::BaseConfig;
-use drivers::hokuyo::HokuyoConfig;
+use drivers::lidar::LidarConfig;
 use drivers::v4l2::CameraDeviceConfig;
 use hal::{CameraModel, Distortion};
-use runtime::safety::SafetyConfig;
+use runtime::safety::{SafetyConfig, needs_second_scan};
 
 use super::Config;
 
@@ -18,7 +18,8 @@ hal::settings! {
         /// Whether the robot may move as soon as all devices work. Otherwise, and after a stop that needs a person, it waits for
         /// the signal SIGUSR1.
         arm_at_start: bool = true;
-        /// Time from a LiDAR beam to the first response of the wheels. At least two periods of the scanner are assumed.
+        /// Time from a LiDAR beam to the first response of the wheels. At least two periods of the scanner are assumed, and three
+        /// of a scanner with few beams; `check` prints the speed that this allows.
         reaction_s: f64 = 0.05, in 0.0..=1.0, unit "s", source "two scans of a UTM-30LX";
         /// Deceleration of the base when it brakes. Measure it.
         brake_mps2: f64 = 1.0, in 0.1..=20.0, unit "m/s2";
@@ -47,7 +48,7 @@ hal::settings! {
     pub struct DevicesSection {
         camera: CameraDeviceConfig;
         lens: LensSection;
-        lidar: HokuyoConfig;
+        lidar: LidarConfig;
         base: BaseConfig;
     }
 }
@@ -100,16 +101,29 @@ impl DevicesSection {
 }
 
 impl Config {
+    /// Scans that may pass until an obstacle that appears just behind a beam is known. It is measured one period later, at the
+    /// end of that scan; where beams are few, a thin obstacle counts only in the second scan that shows it.
+    #[must_use]
+    pub fn scans_until_seen(&self) -> u32 {
+        2 + u32::from(needs_second_scan(&self.devices.lidar.geometry()))
+    }
+
+    /// Time until an obstacle that appears just behind a beam of the configured scanner is known, seconds.
+    fn sight_s(&self) -> f64 {
+        let lidar = &self.devices.lidar;
+        f64::from(self.scans_until_seen()) * lidar.longest_period_s() + lidar.cable_s()
+    }
+
     /// The safety plane's configuration for a real robot, whose wheels need time to stop and whose safety plane has its own
     /// rate.
     #[must_use]
     pub fn live_safety_config(&self) -> SafetyConfig {
         let run = &self.run;
+        let lidar = &self.devices.lidar;
         // A silent scanner is detected within two of its periods, even if `scan_timeout_s` is longer.
-        let two_scans_s = 2e-9 * self.devices.lidar.model.geometry(false).period_ns as f64;
+        let two_scans_s = 2.0 * lidar.longest_period_s();
         SafetyConfig {
-            // An obstacle that appears just behind a beam is measured one period later, at the end of that scan.
-            reaction_s: run.reaction_s.max(two_scans_s),
+            reaction_s: run.reaction_s.max(self.sight_s()),
             brake_mps2: run.brake_mps2,
             good_scans: run.good_scans,
             feedback_timeout_s: run.feedback_timeout_s,
@@ -124,6 +138,7 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use drivers::lidar::LidarKind;
     use drivers::scip::Model;
 
     #[test]
@@ -148,5 +163,23 @@ mod tests {
         }
         config.run.reaction_s = 0.3;
         assert!((config.live_safety_config().reaction_s - 0.3).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_slow_scanner_with_few_beams_means_a_longer_reaction_and_a_lower_speed() {
+        let mut config = Config::default();
+        let fast_mps = config.live_safety_config().top_speed_mps();
+        config.devices.lidar.kind = LidarKind::Ld06;
+        let ld06 = config.live_safety_config();
+        // Three periods of 115 ms, and 30 ms of the cable.
+        assert!((ld06.reaction_s - 0.375).abs() < 1e-9, "{}", ld06.reaction_s);
+        assert!((ld06.scan_timeout_s - 0.2).abs() < 1e-9);
+        config.devices.lidar.kind = LidarKind::Rplidar;
+        let a1 = config.live_safety_config();
+        assert!((a1.reaction_s - (3.0 * 1.15 / 5.5 + 0.03)).abs() < 1e-6, "{}", a1.reaction_s);
+        assert!(a1.top_speed_mps() < ld06.top_speed_mps() && ld06.top_speed_mps() < fast_mps);
+        config.devices.lidar.rplidar.model = drivers::rplidar::Model::S2;
+        let s2 = config.live_safety_config();
+        assert!((s2.reaction_s - 0.26).abs() < 1e-9, "two scans are enough with 1440 beams");
     }
 }

@@ -1,11 +1,11 @@
 //! Opens the devices of the configuration. They need not be connected yet: each driver waits for its device.
 
 use anyhow::{Context, Result};
-use drivers::DeviceStatus;
 use drivers::can::{CanBus, DifferentialBase, Phase, open_bus};
 use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyLidar};
-use drivers::hokuyo::{HokuyoLidar, HokuyoMonitor};
+use drivers::lidar::AnyLidar;
 use drivers::v4l2::V4l2Camera;
+use drivers::{DeviceStatus, LidarMonitor};
 use runtime::safety::SafetyLoop;
 
 use super::safety_thread::{Watched, WatchedBase};
@@ -15,7 +15,7 @@ use crate::config::Config;
 pub type AnyBase = DifferentialBase<Box<dyn CanBus + Send>>;
 
 /// The safety loop with the devices that it owns.
-pub type Control = SafetyLoop<FaultyBase<AnyBase>, FaultyLidar<HokuyoLidar>>;
+pub type Control = SafetyLoop<FaultyBase<AnyBase>, FaultyLidar<AnyLidar>>;
 
 /// Starts the camera's driver.
 ///
@@ -32,9 +32,9 @@ pub fn open_camera(config: &Config, faults: &Faults) -> Result<FaultyCamera<V4l2
 ///
 /// # Errors
 /// A driver refuses the configuration.
-pub fn open_scanner_and_base(config: &Config, faults: &Faults) -> Result<(Control, HokuyoMonitor)> {
+pub fn open_scanner_and_base(config: &Config, faults: &Faults) -> Result<(Control, LidarMonitor)> {
     let devices = &config.devices;
-    let lidar = HokuyoLidar::open(devices.lidar.clone()).context("[devices.lidar]")?;
+    let lidar = AnyLidar::open(&devices.lidar).context("[devices.lidar]")?;
     let monitor = lidar.monitor();
     let base =
         AnyBase::new(open_bus(&devices.base.bus), &devices.base).context("[devices.base]")?;
@@ -42,7 +42,7 @@ pub fn open_scanner_and_base(config: &Config, faults: &Faults) -> Result<(Contro
     Ok((SafetyLoop::new(config.live_safety_config(), base, lidar), monitor))
 }
 
-impl Watched for FaultyLidar<HokuyoLidar> {
+impl Watched for FaultyLidar<AnyLidar> {
     fn status(&self) -> DeviceStatus {
         self.injector().status(self.inner().status())
     }

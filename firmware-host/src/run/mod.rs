@@ -37,6 +37,7 @@ use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::model::{Keeper, LiveModels};
 
+use crate::check::Speed;
 use crate::keep_out;
 use crate::live::{self, Live};
 use crate::map::KeptMap;
@@ -132,6 +133,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
             ),
         }
     }
+    tracing::info!("{}", Speed::new(&config).sentence());
     supervision.announce(&safety);
     let mut inputs = Inputs { tasks: TaskFile::open(config.run.task_file.as_ref()), poses };
     let end =

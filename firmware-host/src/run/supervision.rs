@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use drivers::DeviceState;
+use drivers::LidarMonitor;
 use drivers::can::Phase;
-use drivers::hokuyo::HokuyoMonitor;
 use monotonic_clock::monotonic_ns;
 use runtime::event::FaultReason;
 use runtime::recording::fault_reason;
@@ -33,7 +33,7 @@ pub struct Supervision {
     names: [String; 3],
     bus: String,
     hot_c: f64,
-    lidar: HokuyoMonitor,
+    lidar: LidarMonitor,
     meters: [RateMeter; 3],
     began_ns: u64,
     due_ns: u64,
@@ -53,7 +53,7 @@ impl Supervision {
         args: &RunArgs,
         out: &Path,
         config: &Config,
-        lidar: HokuyoMonitor,
+        lidar: LidarMonitor,
         operator: &Operator,
     ) -> Self {
         let file = args.status.clone().unwrap_or_else(|| PathBuf::from(&config.run.status_file));

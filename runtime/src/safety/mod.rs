@@ -31,7 +31,8 @@
 //! | `Escaping` | 0.5 m ahead are free after 45 degrees; or one full rotation, a timeout, or a corner that would collide | `Clear` |
 //!
 //! The speed limit of a forward plan is the lowest of these: the speed from which the robot stops
-//! before the nearest obstacle on its path; 0.1 m/s beside an obstacle that is nearer than the
+//! before the nearest obstacle on its path, or before an obstacle just beyond what it sees, within its
+//! reaction time, which is longer with a slow scanner ([`SafetyConfig::top_speed_mps`]); 0.1 m/s beside an obstacle that is nearer than the
 //! scanner's noise; 0.15 m/s while the scanner does not see the path ahead, and 0 after 0.3 s.
 //!
 //! After a fault that resumes on evidence, speeds are limited to [`CREEP_MPS`] and [`CREEP_RADPS`]
@@ -65,6 +66,7 @@ mod power;
 mod rear;
 mod restart;
 mod sent;
+mod speed;
 mod state;
 mod surroundings;
 mod witness;
@@ -76,7 +78,9 @@ pub use plane::SafetyPlane;
 pub use restart::{CREEP_MPS, CREEP_NS, CREEP_RADPS, Restart, STOPS, Stop};
 pub use sent::SentCommand;
 pub use state::{BackOff, Escape, Plan, Request, SafetyInput, SafetyOutput, SafetyState};
-pub use surroundings::{Obstacle, ScanHealth, Surroundings};
+pub use surroundings::{Obstacle, ScanHealth, Surroundings, needs_second_scan};
 
 #[cfg(test)]
 mod orders_tests;
+#[cfg(test)]
+mod slow_scanner_tests;

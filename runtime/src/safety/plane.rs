@@ -459,7 +459,7 @@ impl SafetyPlane {
     /// ground that is known to be free.
     fn is_clear_behind(&self, time_ns: u64, odom: &Pose2, twist: &Twist2) -> bool {
         let speed = -twist.linear_mps;
-        let needed_m = self.stopping_distance_m(speed) + speed * self.config.period_s;
+        let needed_m = self.config.stopping_distance_m(speed) + speed * self.config.period_s;
         let needed_gap_m = REAR_GAP_M + needed_m;
         needed_m < f64::from(HORIZON_M)
             && self.surroundings.first_obstacle(&self.footprint, twist, needed_gap_m).is_none()
@@ -482,6 +482,7 @@ impl SafetyPlane {
         let creep_mps = self.restrained(time_ns, desired).linear_mps;
         let blind_mps = if self.blind_since_ns.is_some() { BLIND_MPS } else { f64::INFINITY };
         let limit_mps = self
+            .config
             .speed_limit_mps(free_m)
             .min(creep_mps)
             .min(blind_mps)
@@ -530,12 +531,12 @@ impl SafetyPlane {
     /// The highest speed with regard to obstacles that pass within the lateral margin.
     fn limit_beside_mps(&self, wheel: &WheelFeedback, desired: &Twist2) -> f64 {
         let speed = desired.linear_mps.max(wheel.twist.linear_mps);
-        let reach_m = self.config.stop_distance_m + self.stopping_distance_m(speed);
+        let reach_m = self.config.stop_distance_m + self.config.stopping_distance_m(speed);
         self.surroundings.first_obstacle(&self.wide, desired, reach_m).map_or(
             f64::INFINITY,
             |(_, gap_m)| {
                 // The margin widens the front, too, where it is part of the stop distance.
-                self.speed_limit_mps(gap_m + self.config.lateral_margin_m).max(BESIDE_MPS)
+                self.config.speed_limit_mps(gap_m + self.config.lateral_margin_m).max(BESIDE_MPS)
             },
         )
     }
@@ -544,7 +545,7 @@ impl SafetyPlane {
     /// distance ahead, metres.
     fn free_ahead(&self, wheel: &WheelFeedback, desired: &Twist2) -> (Option<Obstacle>, f64) {
         let speed = desired.linear_mps.max(wheel.twist.linear_mps);
-        let reach_m = self.config.stop_distance_m + self.stopping_distance_m(speed);
+        let reach_m = self.config.stop_distance_m + self.config.stopping_distance_m(speed);
         let nearest = self.surroundings.first_obstacle(&self.footprint, desired, reach_m);
         // An obstacle may stand just beyond the horizon, so the free distance is never more than
         // the visible one.
@@ -564,7 +565,7 @@ impl SafetyPlane {
             return None;
         }
         let (nearest, free_m) = self.free_ahead(wheel, desired);
-        let obstacle = nearest.filter(|_| self.speed_limit_mps(free_m) < TRIP_BELOW_MPS)?;
+        let obstacle = nearest.filter(|_| self.config.speed_limit_mps(free_m) < TRIP_BELOW_MPS)?;
         Some(self.trip(time_ns, &wheel.odom, cause_of(&obstacle), obstacle.point_m()))
     }
 
@@ -588,22 +589,6 @@ impl SafetyPlane {
             self.contacts.clear();
         }
         gives_up
-    }
-
-    /// Distance from the command to stop until the robot stands still: reaction time and braking,
-    /// metres.
-    fn stopping_distance_m(&self, speed_mps: f64) -> f64 {
-        speed_mps * self.config.reaction_s + speed_mps * speed_mps / (2.0 * self.config.brake_mps2)
-    }
-
-    /// The highest speed from which the robot still stops `stop_distance_m` before an obstacle that
-    /// is `gap_m` ahead: the positive root v of v^2 / 2b + v t = d, with braking deceleration b,
-    /// reaction time t and available distance d.
-    fn speed_limit_mps(&self, gap_m: f64) -> f64 {
-        let brake_mps2 = self.config.brake_mps2;
-        let available_m = (gap_m - self.config.stop_distance_m).max(0.0);
-        let lag_mps = brake_mps2 * self.config.reaction_s;
-        (lag_mps * lag_mps + 2.0 * brake_mps2 * available_m).sqrt() - lag_mps
     }
 
     fn slow_down(&mut self, desired: Twist2, limit_mps: f64) -> SafetyOutput {
@@ -676,7 +661,8 @@ impl SafetyPlane {
         let known_m = back_off.known_free_m + self.config.blind_back_off_m;
         let late = is_older(Some(back_off.since_ns), time_ns, self.config.back_off_timeout_s);
         let back = Twist2 { linear_mps: -self.config.back_off_mps, angular_radps: 0.0 };
-        let rear_m = REAR_GAP_M + self.stopping_distance_m(wheel.twist.linear_mps.min(0.0).abs());
+        let rear_m =
+            REAR_GAP_M + self.config.stopping_distance_m(wheel.twist.linear_mps.min(0.0).abs());
         // A bumper that caused the trip stays pressed for a moment. A contact after it was
         // released, or at this distance from the obstacle, comes from something behind the robot.
         let touching = back_off.touching && wheel.contact && gone_m < CONTACT_AHEAD_M;

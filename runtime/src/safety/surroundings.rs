@@ -22,6 +22,10 @@ const NEIGHBOUR_GAP_M: f32 = 0.08;
 const SPARSE_BEAMS: usize = 4;
 /// Depth of such an obstacle, metres.
 const SPARSE_GAP_M: f32 = 0.12;
+/// With beams wider apart than this, a chair leg of 25 mm may meet a single beam at the horizon. A single
+/// return then counts as an obstacle if the scan before had one at about the same place: two stray
+/// returns at one place in two scans are rare.
+const FEW_BEAMS_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 /// Horizon: obstacles farther from the laser than this are ignored, metres. A large configured stop
 /// distance extends it.
 pub(super) const HORIZON_M: f32 = 1.5;
@@ -66,6 +70,12 @@ impl ScanHealth {
             Self::Good
         }
     }
+}
+
+/// Whether a scanner has so few beams that thin obstacles count only in the second scan that shows them.
+#[must_use]
+pub fn needs_second_scan(geometry: &ScanGeometry) -> bool {
+    geometry.angle_increment_rad > FEW_BEAMS_RAD + 1e-9
 }
 
 /// A range that is not finite or is negative counts as an error even if the driver reports it as a
@@ -170,6 +180,7 @@ impl Surroundings {
         std::mem::swap(&mut self.sparse_m, &mut self.sparse_before_m);
         self.sparse_m.clear();
         self.sparse_m.resize(scan.ranges.len(), f32::INFINITY);
+        let has_few_beams = needs_second_scan(&scan.geometry);
         let mut run_length = 0;
         let mut last_m = f32::NEG_INFINITY;
         let mut recent_m = [f32::INFINITY; SPARSE_BEAMS];
@@ -195,7 +206,7 @@ impl Surroundings {
             run_length =
                 if (range_m - last_m).abs() < NEIGHBOUR_GAP_M { run_length + 1 } else { 1 };
             last_m = range_m;
-            let is_sparse = agrees(&before_m, range_m);
+            let is_sparse = has_few_beams || agrees(&before_m, range_m);
             if is_sparse && let Some(sparse_m) = self.sparse_m.get_mut(index) {
                 *sparse_m = range_m;
             }
@@ -442,6 +453,29 @@ pub(super) mod tests {
         assert_eq!(obstacle_after_scans(rough), [false, true]);
         let single = |beam| if beam == 540 { Range::Hit(0.2) } else { Range::Hit(3.0) };
         assert_eq!(obstacle_after_scans(single), [false, false]);
+    }
+
+    #[test]
+    fn a_thin_leg_that_meets_one_of_few_beams_is_an_obstacle_in_the_second_scan() {
+        fn obstacle_after_scans(beams: usize) -> [bool; 2] {
+            let geometry = ScanGeometry {
+                angle_min_rad: -std::f64::consts::PI,
+                angle_increment_rad: std::f64::consts::TAU / beams as f64,
+                beams,
+                ..ScanGeometry::UTM_30LX
+            };
+            let mut ranges = vec![Range::Hit(3.0); beams];
+            ranges[beams / 2] = Range::Hit(0.2);
+            let scan = LaserScan { time_ns: 0, geometry, ranges };
+            let mut surroundings = Surroundings::new(&SafetyConfig::default());
+            let robot = Footprint::new(0.16, &[]);
+            std::array::from_fn(|_| {
+                surroundings.update(&scan);
+                surroundings.first_obstacle(&robot, &FORWARD, 0.1).is_some()
+            })
+        }
+        assert_eq!(obstacle_after_scans(400), [false, true]);
+        assert_eq!(obstacle_after_scans(1440), [false, false]);
     }
 
     #[test]

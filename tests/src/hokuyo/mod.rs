@@ -8,13 +8,12 @@
 mod command;
 mod encode;
 mod faults;
-mod port;
 mod room;
 mod sensor;
 mod simulated;
 
 pub use command::{HokuyoArgs, run};
-pub use faults::{Event, EventKind, FaultPlan, WireFaults};
+pub use faults::{Event, EventKind, FaultPlan, WireFaults, seeded};
 pub use room::{Room, ScanSource};
 pub use sensor::{Health, Sensor};
 pub use simulated::SimulatedHokuyo;

@@ -13,8 +13,8 @@ use monotonic_clock::monotonic_ns;
 use rand::RngExt;
 
 use super::faults::seeded;
-use super::port::{Connection, Endpoint};
 use super::{Health, ScanSource, Sensor, WireFaults};
+use crate::port::{Connection, Endpoint};
 
 /// Polling interval of the transport.
 const POLL_NS: u64 = 500_000;

@@ -8,12 +8,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use drivers::can::Protocol;
-use drivers::scip::Model;
 use hal::{CameraModel, Clock};
 use monotonic_clock::MonotonicClock;
 use simulator::nuisance::Nuisances;
 use simulator::odometry::OdometryNoise;
 
+use super::ScannerModel;
 use super::cables::Cables;
 use super::faults::RandomFaults;
 use super::live::{LiveOptions, LiveWorld};
@@ -35,9 +35,10 @@ pub struct WorldArgs {
     /// Protocol of the motor controllers: odrive, vesc or cia402.
     #[arg(long, default_value = "odrive", value_parser = protocol)]
     protocol: Protocol,
-    /// Model of the scanner: urg-04lx, utm-30lx, ust-10lx or ust-20lx.
+    /// Model of the scanner: urg-04lx, utm-30lx, ust-10lx, ust-20lx, rplidar-a1, rplidar-a2,
+    /// rplidar-a3, rplidar-s2 or ld06.
     #[arg(long, default_value = "utm-30lx")]
-    lidar: Model,
+    lidar: ScannerModel,
     /// Size of the camera's frames; the field of view is 90 degrees wide.
     #[arg(
         long,

@@ -4,7 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::LiveWorld;
-use crate::hokuyo::{Health, WireFaults};
+use crate::hokuyo::WireFaults;
 
 /// Time without faults between two faults, seconds.
 const QUIET_S: std::ops::Range<f64> = 6.0..14.0;
@@ -65,7 +65,7 @@ fn begin(kind: usize, world: &LiveWorld) {
         0 => lidar.unplug(),
         1 => lidar.reboot(1_000_000_000),
         2 => lidar.set_wire(WireFaults { flip_share: 0.3, ..WireFaults::default() }),
-        3 => lidar.set_health(Health::MotorFault),
+        3 => lidar.break_motor(true),
         _ => world.plug_camera(false),
     }
 }
@@ -75,7 +75,7 @@ fn end(kind: usize, world: &LiveWorld) -> std::io::Result<()> {
     match kind {
         0 => return lidar.plug_in(),
         2 => lidar.set_wire(WireFaults::default()),
-        3 => lidar.set_health(Health::Well),
+        3 => lidar.break_motor(false),
         4 => world.plug_camera(true),
         // The restart ends automatically.
         _ => {}

@@ -23,9 +23,8 @@ use thread_priority::{
 };
 
 use super::cables::{Cable, Cables};
-use super::sensors::{HomeCamera, HomeScanner};
-use super::{Home, output};
-use crate::hokuyo::SimulatedHokuyo;
+use super::sensors::HomeCamera;
+use super::{Home, ScannerModel, SimulatedScanner, output};
 use crate::motor::{Hub, MotorNode, Outbox, rig};
 use crate::video::{Device, VideoFaults, serve, simulated};
 
@@ -45,7 +44,7 @@ pub struct LiveOptions {
     /// Home: `builtin:apartment?seed=1`, or a scene file.
     pub scene: String,
     pub protocol: Protocol,
-    pub lidar: Model,
+    pub lidar: ScannerModel,
     pub camera: CameraModel,
     /// Frames per second of the camera.
     pub fps: f64,
@@ -68,7 +67,7 @@ impl Default for LiveOptions {
         Self {
             scene: "builtin:apartment?seed=1".to_owned(),
             protocol: Protocol::Odrive,
-            lidar: Model::Utm30lx,
+            lidar: ScannerModel::Hokuyo(Model::Utm30lx),
             camera: CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2),
             fps: 15.0,
             late_ms: 0,
@@ -83,7 +82,7 @@ impl Default for LiveOptions {
 /// A running robot in a home, reachable through sockets and a pty. Dropping it stops all threads.
 pub struct LiveWorld {
     home: Home,
-    lidar: SimulatedHokuyo,
+    lidar: SimulatedScanner,
     wheels: Wheels,
     config: PathBuf,
     running: Arc<AtomicBool>,
@@ -104,7 +103,7 @@ impl LiveWorld {
         let dir = dir.canonicalize()?;
         let world = Arc::new(World::open(&options.scene, &OpenOptions::default())?);
         let model = options.lidar;
-        let laser = LaserModel { geometry: model.geometry(false), ..LaserModel::UTM_30LX };
+        let laser = LaserModel { geometry: model.geometry(), ..LaserModel::UTM_30LX };
         let robot = RobotOptions {
             seed: options.seed,
             laser,
@@ -118,12 +117,11 @@ impl LiveWorld {
             ..rig::config(options.protocol)
         };
         let home = Home::new(world, robot, &base)?;
-        let view = Box::new(HomeScanner { home: home.clone(), model });
         let mut live = Self {
             lidar: match lidar_at {
-                Some(cable) => SimulatedHokuyo::on_serial(model, Path::new(&cable.world), view)
+                Some(cable) => SimulatedScanner::start(model, &home, Path::new(&cable.world), true)
                     .map_err(|error| format!("no serial port at {}: {error}", cable.world))?,
-                None => SimulatedHokuyo::on_pty(model, &dir.join("lidar"), view)?,
+                None => SimulatedScanner::start(model, &home, &dir.join("lidar"), false)?,
             },
             wheels: Arc::new(Mutex::new([1, 2].map(|node| rig::node(options.protocol, node)))),
             config: dir.join("robot.toml"),
@@ -190,7 +188,7 @@ impl LiveWorld {
 
     /// The scanner, for injecting faults.
     #[must_use]
-    pub fn lidar(&self) -> &SimulatedHokuyo {
+    pub fn lidar(&self) -> &SimulatedScanner {
         &self.lidar
     }
 
@@ -288,7 +286,7 @@ fn configuration(
     let mut text = format!(
         "# The simulated devices of {}.\n[camera]\nwidth = {}\nheight = {}\n\n[run]\nstatus_file = {:?}\ntask_file = {:?}\nstop_file = {:?}\n\n\
          [devices.camera]\ndevice = {picture_node:?}\nwidth = {}\nheight = {}\nfps = {:?}\n\n\
-         [devices.lens]\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\n\n[devices.lidar]\nport = {scan_port:?}\nmodel = {:?}\n\n",
+         [devices.lens]\nfx = {:?}\nfy = {:?}\ncx = {:?}\ncy = {:?}\n\n",
         options.scene,
         camera.width,
         camera.height,
@@ -302,8 +300,8 @@ fn configuration(
         camera.fy,
         camera.cx,
         camera.cy,
-        options.lidar.to_string().to_lowercase(),
     );
+    text += &options.lidar.configuration(scan_port);
     // The tables of the base go below `[devices.base]`.
     let base = toml::Table::try_from(base)?;
     let devices = toml::Table::from_iter([("base".to_owned(), toml::Value::Table(base))]);

@@ -10,6 +10,7 @@ mod faults;
 mod home;
 mod live;
 mod output;
+mod scanner;
 mod sensors;
 mod wheels;
 
@@ -17,3 +18,4 @@ pub use cables::{Cable, Cables};
 pub use command::{WorldArgs, run};
 pub use home::Home;
 pub use live::{LiveOptions, LiveWorld};
+pub use scanner::{ScannerModel, SimulatedScanner};

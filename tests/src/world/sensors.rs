@@ -1,23 +1,26 @@
 //! The scanner's and the camera's view of the home.
 
-use drivers::scip::Model;
+use std::f64::consts::TAU;
+
 use hal::{CameraModel, DepthMap, Pose3, Range};
 use rand_pcg::Pcg64Mcg;
 use simulator::nuisance::Nuisances;
 use simulator::render::Lighting;
 
-use super::Home;
+use super::{Home, ScannerModel};
 use crate::hokuyo::ScanSource;
+use crate::rotary::CircleSource;
 use crate::video::ImageSource;
 
 pub(super) struct HomeScanner {
     pub home: Home,
-    pub model: Model,
+    pub model: ScannerModel,
 }
 
 impl ScanSource for HomeScanner {
     fn ranges_mm(&mut self, _time_ns: u64, out: &mut [u32]) {
-        let codes = self.model.spec().codes;
+        let ScannerModel::Hokuyo(model) = self.model else { return };
+        let codes = model.spec().codes;
         let nothing = codes.no_return.unwrap_or(codes.dmax_mm + 1);
         let near = codes.too_near.first().copied().unwrap_or(0);
         self.home.scan(|scan| {
@@ -30,6 +33,18 @@ impl ScanSource for HomeScanner {
                 };
             }
         });
+    }
+}
+
+impl CircleSource for HomeScanner {
+    fn range(&mut self, _time_ns: u64, angle_rad: f64) -> Range {
+        let mut range = Range::Error;
+        self.home.scan(|scan| {
+            let from_first_rad = (angle_rad - scan.geometry.angle_min_rad).rem_euclid(TAU);
+            let beam = (from_first_rad / scan.geometry.angle_increment_rad).round() as usize;
+            range = scan.ranges.get(beam % scan.ranges.len().max(1)).copied().unwrap_or_default();
+        });
+        range
     }
 }
 

@@ -169,7 +169,8 @@ fn control(arch: Arch, root: &Path, (major, minor): (u32, u32)) -> Result<()> {
          Section: science\n\
          Priority: optional\n\
          Description: robot that explores a home and learns how far things are\n\
-         \x20Drives a robot with a camera (V4L2), a scanner (Hokuyo) and two motors (CAN),\n\
+         \x20Drives a robot with a camera (V4L2), a scanner (Hokuyo, RPLIDAR,\n\
+         \x20LD06) and two motors (CAN),\n\
          \x20explores, records, and computes depth from its own motion. With ONNX Runtime\n\
          \x20and a depth network.\n",
         env!("CARGO_PKG_VERSION"),

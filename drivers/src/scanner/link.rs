@@ -16,17 +16,17 @@ use rustix::io::Errno;
 use rustix::termios::{ControlModes, OptionalActions, QueueSelector};
 use rustix::termios::{ioctl_tiocexcl, tcflush, tcgetattr, tcsetattr};
 
-use super::{HokuyoError, Port};
+use super::{LinkError, Port};
 use monotonic_clock::monotonic_ns;
 
 /// Time-out of a TCP connection: longer than any switch on the way to the scanner takes.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// An event descriptor that becomes readable when the driver is dropped, which ends every wait.
-pub(super) type Stop = Arc<OwnedFd>;
+pub(crate) type Stop = Arc<OwnedFd>;
 
 #[derive(Debug)]
-pub(super) struct Link {
+pub(crate) struct Link {
     fd: OwnedFd,
     stop: Stop,
     port: Arc<str>,
@@ -34,7 +34,7 @@ pub(super) struct Link {
 
 /// The result of reading until a deadline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Received {
+pub(crate) enum Received {
     /// This number of bytes, at least one.
     Bytes(usize),
     /// No byte arrived before the deadline.
@@ -45,26 +45,22 @@ pub(super) enum Received {
 
 impl Link {
     /// Opens a port and drops the bytes that are already in its buffers.
-    pub(super) fn open(
+    pub(crate) fn open(
         port: &Port,
         baud: u32,
         name: &Arc<str>,
         stop: &Stop,
-    ) -> Result<Self, HokuyoError> {
+    ) -> Result<Self, LinkError> {
         let fd = match port {
             Port::Serial(path) => open_serial(path, baud),
             Port::Tcp { host, port } => connect(host, *port),
         };
-        let fd = fd.map_err(|source| HokuyoError::Open { port: name.clone(), source })?;
+        let fd = fd.map_err(|source| LinkError::Open { port: name.clone(), source })?;
         Ok(Self { fd, stop: stop.clone(), port: name.clone() })
     }
 
     /// Waits for bytes until the monotonic deadline.
-    pub(super) fn read(
-        &self,
-        buffer: &mut [u8],
-        deadline_ns: u64,
-    ) -> Result<Received, HokuyoError> {
+    pub(crate) fn read(&self, buffer: &mut [u8], deadline_ns: u64) -> Result<Received, LinkError> {
         loop {
             let ready = self.wait(PollFlags::IN, deadline_ns)?;
             match ready {
@@ -86,7 +82,7 @@ impl Link {
 
     /// Sends all bytes until the deadline. A scanner that does not accept them in time counts as
     /// gone.
-    pub(super) fn write(&self, mut bytes: &[u8], deadline_ns: u64) -> Result<(), HokuyoError> {
+    pub(crate) fn write(&self, mut bytes: &[u8], deadline_ns: u64) -> Result<(), LinkError> {
         while !bytes.is_empty() {
             match rustix::io::write(&self.fd, bytes) {
                 Ok(count) => bytes = bytes.get(count..).unwrap_or_default(),
@@ -101,12 +97,18 @@ impl Link {
         Ok(())
     }
 
-    fn wait(&self, what: PollFlags, deadline_ns: u64) -> Result<Ready, HokuyoError> {
+    /// Switches the port's DTR line, which stops the motor of some scanners. Ports without this line
+    /// have no such motor behind them, so their error is not one of the scanner.
+    pub(crate) fn set_dtr(&self, on: bool) {
+        _ = super::sys::set_dtr(&self.fd, on);
+    }
+
+    fn wait(&self, what: PollFlags, deadline_ns: u64) -> Result<Ready, LinkError> {
         wait(&self.stop, Some((&self.fd, what)), deadline_ns).map_err(|error| self.gone(error))
     }
 
-    fn gone(&self, error: Errno) -> HokuyoError {
-        HokuyoError::Gone { port: self.port.clone(), source: error.into() }
+    fn gone(&self, error: Errno) -> LinkError {
+        LinkError::Gone { port: self.port.clone(), source: error.into() }
     }
 }
 
@@ -117,7 +119,7 @@ enum Ready {
 }
 
 /// Waits until the deadline. Returns true when the driver is being dropped.
-pub(super) fn wait_for_stop(stop: &Stop, deadline_ns: u64) -> bool {
+pub(crate) fn wait_for_stop(stop: &Stop, deadline_ns: u64) -> bool {
     !matches!(wait(stop, None, deadline_ns), Ok(Ready::Timeout))
 }
 

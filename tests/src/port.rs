@@ -17,7 +17,7 @@ use rustix::termios::{ControlModes, OptionalActions, tcgetattr, tcsetattr};
 
 /// Address of a simulated device.
 #[derive(Debug, Clone)]
-pub(super) enum Endpoint {
+pub(crate) enum Endpoint {
     /// Symbolic link to a pty.
     Pty(PathBuf),
     Serial(PathBuf),
@@ -27,14 +27,14 @@ pub(super) enum Endpoint {
 
 /// An open transport.
 #[derive(Debug)]
-pub(super) enum Connection {
+pub(crate) enum Connection {
     Pty { master: OwnedFd, link: PathBuf },
     Serial { port: OwnedFd },
     Tcp { listener: TcpListener, client: Option<TcpStream> },
 }
 
 impl Connection {
-    pub(super) fn open(endpoint: &Endpoint) -> io::Result<Self> {
+    pub(crate) fn open(endpoint: &Endpoint) -> io::Result<Self> {
         match endpoint {
             Endpoint::Pty(link) => {
                 let master =
@@ -56,7 +56,7 @@ impl Connection {
     }
 
     /// Local address, for TCP.
-    pub(super) fn address(&self) -> Option<SocketAddr> {
+    pub(crate) fn address(&self) -> Option<SocketAddr> {
         match self {
             Self::Pty { .. } | Self::Serial { .. } => None,
             Self::Tcp { listener, .. } => listener.local_addr().ok(),
@@ -65,7 +65,7 @@ impl Connection {
 
     /// Reads received bytes. Also returns whether a client has just disconnected (TCP only: the
     /// others do not report it).
-    pub(super) fn read(&mut self, buffer: &mut [u8]) -> (usize, bool) {
+    pub(crate) fn read(&mut self, buffer: &mut [u8]) -> (usize, bool) {
         match self {
             Self::Pty { master, .. } => (rustix::io::read(&*master, buffer).unwrap_or(0), false),
             Self::Serial { port } => (rustix::io::read(&*port, buffer).unwrap_or(0), false),
@@ -89,7 +89,7 @@ impl Connection {
 
     /// Sends as many bytes as the host accepts; the rest is lost, as in a device whose buffer is
     /// full. On a serial port it waits for the port's own rate.
-    pub(super) fn write(&mut self, mut bytes: &[u8]) {
+    pub(crate) fn write(&mut self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
             let written = match self {
                 Self::Pty { master, .. } => rustix::io::write(&*master, bytes),
@@ -107,7 +107,7 @@ impl Connection {
     }
 
     /// The bit rate that the host has set, where there is one.
-    pub(super) fn baud(&self) -> Option<u32> {
+    pub(crate) fn baud(&self) -> Option<u32> {
         match self {
             Self::Pty { master, .. } => {
                 tcgetattr(master).ok().map(|settings| settings.output_speed())

@@ -19,13 +19,13 @@ pub struct Identity {
 /// The numbers are atomic, so that the safety thread takes no lock. The texts are locked and are
 /// for other threads.
 #[derive(Debug, Default)]
-pub(super) struct Shared {
+pub(crate) struct Shared {
     state: AtomicU8,
-    pub(super) good: AtomicU64,
-    pub(super) bad: AtomicU64,
-    pub(super) lost: AtomicU64,
-    pub(super) reopened: AtomicU64,
-    pub(super) last_good_ns: AtomicU64,
+    pub(crate) good: AtomicU64,
+    pub(crate) bad: AtomicU64,
+    pub(crate) lost: AtomicU64,
+    pub(crate) reopened: AtomicU64,
+    pub(crate) last_good_ns: AtomicU64,
     texts: Mutex<Texts>,
 }
 
@@ -44,11 +44,11 @@ const STATES: [DeviceState; 5] = [
 ];
 
 impl Shared {
-    pub(super) fn state(&self) -> DeviceState {
+    pub(crate) fn state(&self) -> DeviceState {
         STATES.get(usize::from(self.state.load(Ordering::Acquire))).copied().unwrap_or_default()
     }
 
-    pub(super) fn set_state(&self, state: DeviceState) {
+    pub(crate) fn set_state(&self, state: DeviceState) {
         let index = STATES.iter().position(|known| *known == state).unwrap_or_default();
         self.state.store(index as u8, Ordering::Release);
     }
@@ -57,22 +57,22 @@ impl Shared {
         access(&mut self.texts.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    pub(super) fn set_identity(&self, identity: Identity) {
+    pub(crate) fn set_identity(&self, identity: Identity) {
         self.with_texts(|texts| texts.identity = Some(identity));
     }
 
-    pub(super) fn set_problem(&self, problem: String) {
+    pub(crate) fn set_problem(&self, problem: String) {
         self.with_texts(|texts| texts.problem = Some(problem));
     }
 }
 
 /// Reads a scanner's state from another thread than the one that polls it.
 #[derive(Debug, Clone)]
-pub struct HokuyoMonitor {
-    pub(super) shared: Arc<Shared>,
+pub struct LidarMonitor {
+    pub(crate) shared: Arc<Shared>,
 }
 
-impl HokuyoMonitor {
+impl LidarMonitor {
     /// The scanner's state and counts. Takes no lock.
     #[must_use]
     pub fn status(&self) -> DeviceStatus {

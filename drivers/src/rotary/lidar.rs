@@ -1,0 +1,89 @@
+//! The driver of a rotating scanner.
+
+use std::sync::Arc;
+
+use hal::{ErrorType, LaserScan, Lidar, ScanGeometry};
+
+use super::device::Device;
+use super::stream::Reader;
+use super::{Mount, RotaryError};
+use crate::DeviceStatus;
+use crate::scanner::{LidarMonitor, Polled, Port};
+
+/// What the driver of every rotating scanner has to know.
+#[derive(Debug, Clone)]
+pub(crate) struct Settings {
+    pub(crate) port: Port,
+    /// The scanner's name in messages.
+    pub(crate) device: &'static str,
+    pub(crate) baud: u32,
+    pub(crate) geometry: ScanGeometry,
+    pub(crate) mount: Mount,
+    /// Consecutive valid scans that are needed before the scanner counts as working.
+    pub(crate) good_scans: u32,
+}
+
+/// Where the scanner is and how it is mounted, which every driver of a rotating scanner takes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Place {
+    pub port: Port,
+    pub mount: Mount,
+    /// Consecutive valid scans that are needed before the scanner counts as working.
+    pub good_scans: u32,
+}
+
+impl Place {
+    /// An upright scanner at this port whose zero points ahead.
+    #[must_use]
+    pub fn new(port: Port) -> Self {
+        Self { port, mount: Mount::default(), good_scans: 3 }
+    }
+}
+
+/// The driver of one scanner. Dropping it stops the motor where the scanner can be told to.
+///
+/// A reader thread owns the scanner. It opens the port by its path, with a back-off of 50 ms to 1 s
+/// between attempts, collects whole revolutions, and publishes scans once enough of them in a row
+/// were good. The polling side takes no lock, allocates nothing and checks the age of scans itself.
+#[derive(Debug)]
+pub struct RotaryLidar {
+    polled: Polled,
+}
+
+impl RotaryLidar {
+    pub(crate) fn start(settings: Settings, device: Box<dyn Device>) -> Result<Self, RotaryError> {
+        let port: Arc<str> = settings.port.to_string().into();
+        let geometry = settings.geometry;
+        let polled = Polled::start("rotary-lidar", port.clone(), geometry, move |end| {
+            Reader::new(settings, port, device, end).run();
+        })?;
+        Ok(Self { polled })
+    }
+
+    /// The scanner's state and counts. Takes no lock.
+    #[must_use]
+    pub fn status(&self) -> DeviceStatus {
+        self.polled.monitor().status()
+    }
+
+    /// A handle with which other threads read the state, the identity and the last problem.
+    #[must_use]
+    pub fn monitor(&self) -> LidarMonitor {
+        self.polled.monitor().clone()
+    }
+}
+
+impl ErrorType for RotaryLidar {
+    type Error = RotaryError;
+}
+
+impl Lidar for RotaryLidar {
+    fn geometry(&self) -> ScanGeometry {
+        self.polled.geometry()
+    }
+
+    fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Self::Error> {
+        let polled = self.polled.poll(scan);
+        polled.map_err(|error| RotaryError::of_poll(error, self.polled.port()))
+    }
+}

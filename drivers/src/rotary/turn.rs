@@ -1,0 +1,211 @@
+//! Collects the measurements of one revolution in the beams of a scan.
+
+use std::f64::consts::{PI, TAU};
+
+use hal::{Range, ScanGeometry};
+
+use super::Sample;
+
+/// The numbers of beams that a scan may have. One is chosen that divides the circle evenly.
+const BEAMS: [usize; 12] = [180, 240, 300, 360, 400, 480, 600, 720, 900, 1080, 1200, 1440];
+/// A motor that rotates faster than it should by this factor still meets every beam.
+const FASTER: f64 = 1.1;
+
+/// How a scanner is mounted.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Mount {
+    /// Direction of the scanner's zero, counter-clockwise from the robot's forward direction, radians.
+    pub zero_rad: f64,
+    pub upside_down: bool,
+}
+
+impl Mount {
+    /// The direction of a measurement in the `laser` frame, counter-clockwise from its x axis. The
+    /// scanner counts clockwise.
+    #[must_use]
+    pub fn angle_rad(&self, clockwise_rad: f64) -> f64 {
+        if self.upside_down { self.zero_rad + clockwise_rad } else { self.zero_rad - clockwise_rad }
+    }
+}
+
+/// The geometry of the scans of a scanner with this many measurements in a revolution: a whole circle
+/// in beams that each hold at least one measurement, counter-clockwise from straight behind.
+#[must_use]
+pub fn circle(samples_per_turn: f64, range_m: (f32, f32), period_ns: u64) -> ScanGeometry {
+    let most = samples_per_turn / FASTER;
+    let beams = BEAMS.into_iter().rfind(|beams| *beams as f64 <= most).unwrap_or(BEAMS[0]);
+    ScanGeometry {
+        angle_min_rad: -PI,
+        angle_increment_rad: TAU / beams as f64,
+        beams,
+        range_min_m: range_m.0,
+        range_max_m: range_m.1,
+        period_ns,
+    }
+}
+
+/// The measurements of the current revolution, by beam. A beam without one is an error: it was not
+/// measured, and so it is not free.
+#[derive(Debug, Clone)]
+pub struct Turn {
+    angle_min_rad: f64,
+    angle_increment_rad: f64,
+    mount: Mount,
+    beams: Vec<Option<Range>>,
+}
+
+impl Turn {
+    /// A revolution without measurements.
+    #[must_use]
+    pub fn new(geometry: &ScanGeometry, mount: Mount) -> Self {
+        Self {
+            angle_min_rad: geometry.angle_min_rad,
+            angle_increment_rad: geometry.angle_increment_rad,
+            mount,
+            beams: vec![None; geometry.beams],
+        }
+    }
+
+    /// Adds a measurement. Of several in one beam the nearest counts.
+    pub fn add(&mut self, sample: &Sample) {
+        let beam = self.beam(sample.clockwise_rad);
+        if let Some(known) = self.beams.get_mut(beam) {
+            *known = Some(known.map_or(finite(sample.range), |known| nearer(known, sample.range)));
+        }
+    }
+
+    /// Copies the ranges of all beams, and begins the next revolution.
+    pub fn finish(&mut self, ranges: &mut Vec<Range>) {
+        ranges.clear();
+        ranges.extend(self.beams.iter_mut().map(|beam| beam.take().unwrap_or(Range::Error)));
+    }
+
+    fn beam(&self, clockwise_rad: f64) -> usize {
+        let from_first_rad =
+            (self.mount.angle_rad(clockwise_rad) - self.angle_min_rad).rem_euclid(TAU);
+        (from_first_rad / self.angle_increment_rad).round() as usize % self.beams.len().max(1)
+    }
+}
+
+/// A distance that is not a number is an error.
+fn finite(range: Range) -> Range {
+    match range {
+        Range::Hit(distance_m) if !distance_m.is_finite() => Range::Error,
+        range => range,
+    }
+}
+
+/// What two measurements of one beam say together: the nearest return, else an error, and no return
+/// only if both had none.
+fn nearer(known: Range, new: Range) -> Range {
+    match (known, finite(new)) {
+        (Range::TooNear, _) | (_, Range::TooNear) => Range::TooNear,
+        (Range::Hit(a), Range::Hit(b)) => Range::Hit(a.min(b)),
+        (Range::Hit(a), _) | (_, Range::Hit(a)) => Range::Hit(a),
+        (Range::Error, _) | (_, Range::Error) => Range::Error,
+        (Range::NoReturn, Range::NoReturn) => Range::NoReturn,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const RANGE_M: (f32, f32) = (0.1, 12.0);
+
+    fn sample(clockwise_deg: f64, range: Range) -> Sample {
+        Sample { clockwise_rad: clockwise_deg.to_radians(), range, starts_turn: false }
+    }
+
+    /// The direction in degrees of every beam with a hit.
+    fn hits_deg(mount: Mount, samples: &[Sample]) -> Vec<f64> {
+        let geometry = circle(450.0, RANGE_M, 1);
+        let mut turn = Turn::new(&geometry, mount);
+        samples.iter().for_each(|sample| turn.add(sample));
+        let mut ranges = Vec::new();
+        turn.finish(&mut ranges);
+        let hits = ranges.iter().enumerate().filter(|(_, range)| range.hit_m().is_some());
+        hits.map(|(beam, _)| (geometry.angle_rad(beam).to_degrees() * 10.0).round() / 10.0)
+            .collect()
+    }
+
+    #[test]
+    fn clockwise_measurements_become_counter_clockwise_beams() {
+        let right = [sample(90.0, Range::Hit(1.0))];
+        assert_eq!(hits_deg(Mount::default(), &right), [-90.0], "clockwise of ahead is right");
+        let left = [sample(270.0, Range::Hit(1.0))];
+        assert_eq!(hits_deg(Mount::default(), &left), [90.0]);
+        let behind = [sample(180.0, Range::Hit(1.0))];
+        assert_eq!(hits_deg(Mount::default(), &behind), [-180.0]);
+    }
+
+    #[test]
+    fn a_scanner_that_is_mounted_turned_or_upside_down_still_points_ahead() {
+        let ahead = [sample(90.0, Range::Hit(1.0))];
+        let turned = Mount { zero_rad: 90_f64.to_radians(), upside_down: false };
+        assert_eq!(hits_deg(turned, &ahead), [0.0]);
+        let over = Mount { zero_rad: 0.0, upside_down: true };
+        assert_eq!(hits_deg(over, &ahead), [90.0]);
+    }
+
+    #[test]
+    fn beams_without_a_measurement_are_errors_and_are_forgotten_with_the_revolution() {
+        let geometry = circle(450.0, RANGE_M, 1);
+        let mut turn = Turn::new(&geometry, Mount::default());
+        turn.add(&sample(0.0, Range::NoReturn));
+        let mut ranges = Vec::new();
+        turn.finish(&mut ranges);
+        assert_eq!(ranges.iter().filter(|range| **range == Range::Error).count(), 399);
+        turn.finish(&mut ranges);
+        assert!(ranges.iter().all(|range| *range == Range::Error));
+    }
+
+    #[test]
+    fn of_several_measurements_in_a_beam_the_nearest_counts_and_doubt_is_no_free_space() {
+        for (a, b, expected) in [
+            (Range::Hit(2.0), Range::Hit(1.0), Range::Hit(1.0)),
+            (Range::NoReturn, Range::Hit(1.0), Range::Hit(1.0)),
+            (Range::Hit(1.0), Range::Error, Range::Hit(1.0)),
+            (Range::Hit(1.0), Range::TooNear, Range::TooNear),
+            (Range::NoReturn, Range::Error, Range::Error),
+            (Range::NoReturn, Range::NoReturn, Range::NoReturn),
+            (Range::NoReturn, Range::Hit(f32::NAN), Range::Error),
+        ] {
+            assert_eq!(nearer(a, b), expected, "{a:?} {b:?}");
+            assert_eq!(finite(Range::Hit(f32::NAN)), Range::Error);
+        }
+    }
+
+    #[test]
+    fn every_beam_of_a_revolution_is_measured_up_to_a_tenth_above_the_nominal_rate() {
+        for samples_per_turn in [450.0, 727.0, 400.0, 363.0, 3200.0, 200.0] {
+            let geometry = circle(samples_per_turn, RANGE_M, 1);
+            let fast = (samples_per_turn / FASTER).floor() as usize;
+            let mut turn = Turn::new(&geometry, Mount::default());
+            for index in 0..fast {
+                turn.add(&sample(360.0 * index as f64 / fast as f64, Range::Hit(1.0)));
+            }
+            let mut ranges = Vec::new();
+            turn.finish(&mut ranges);
+            assert!(ranges.iter().all(|range| range.hit_m().is_some()), "{samples_per_turn}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_direction_has_a_beam_within_half_a_step(
+            clockwise_rad in 0.0..TAU,
+            zero_rad in -PI..PI,
+            upside_down: bool,
+        ) {
+            let geometry = circle(450.0, RANGE_M, 1);
+            let mount = Mount { zero_rad, upside_down };
+            let turn = Turn::new(&geometry, mount);
+            let beam = turn.beam(clockwise_rad);
+            prop_assert!(beam < geometry.beams);
+            let off_rad = hal::wrap_angle(geometry.angle_rad(beam) - mount.angle_rad(clockwise_rad));
+            prop_assert!(off_rad.abs() <= 0.5 * geometry.angle_increment_rad + 1e-9);
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! The scanner without a transport.
+
+use std::ops::Range;
+
+use drivers::rplidar::Model;
+
+use super::encode::{cabin, capsule, head, node};
+use crate::rotary::{CircleSource, Sensor, packet_mm};
+
+/// Time that the scanner takes to start after a reset.
+const BOOT_NS: u64 = 300_000_000;
+/// Correction of the angles of an express scan, eighths of a degree: that of distant points.
+const CORRECTION: u8 = 60;
+
+/// Internal state of health.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum RplidarHealth {
+    #[default]
+    Well,
+    /// In its protection stop: it reports an error and does not scan.
+    Protection,
+    /// Every measurement is without a distance.
+    Blind,
+}
+
+/// A simulated scanner: bytes and times go in, messages come out.
+pub struct RplidarSensor {
+    model: Model,
+    source: Box<dyn CircleSource>,
+    pub health: RplidarHealth,
+    /// Revolutions per second while the motor rotates.
+    pub rotation_hz: f64,
+    /// What begins between these clockwise angles, degrees, is not sent.
+    pub missing_deg: Option<Range<f64>>,
+    /// Whether it knows express scans.
+    pub knows_express: bool,
+    scan: Option<Scan>,
+    motor_on: bool,
+    /// Clockwise angle of the motor, degrees.
+    angle_deg: f64,
+    due_ns: u64,
+    ready_ns: u64,
+    input: Vec<u8>,
+    resets: u32,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Scan {
+    Nodes { is_first: bool },
+    Legacy { is_first: bool },
+    Dense { is_first: bool },
+}
+
+impl RplidarSensor {
+    /// A scanner that was switched on and became ready at `now_ns`.
+    #[must_use]
+    pub fn new(model: Model, source: Box<dyn CircleSource>, now_ns: u64) -> Self {
+        Self {
+            model,
+            source,
+            health: RplidarHealth::Well,
+            rotation_hz: model.spec().rotation_hz,
+            missing_deg: None,
+            knows_express: true,
+            scan: None,
+            motor_on: model == Model::A1,
+            angle_deg: 30.0,
+            due_ns: now_ns,
+            ready_ns: now_ns,
+            input: Vec::new(),
+            resets: 0,
+        }
+    }
+
+    /// Whether it sends measurements, and whether its motor rotates. A pty has no DTR line, so the
+    /// motor of an A1 always does.
+    #[must_use]
+    pub fn is_scanning(&self) -> (bool, bool) {
+        (self.scan.is_some(), self.motor_on)
+    }
+
+    /// How often the host has restarted it.
+    #[must_use]
+    pub fn resets(&self) -> u32 {
+        self.resets
+    }
+
+    fn answer(&mut self, command: u8, payload: &[u8], now_ns: u64, out: &mut Vec<Vec<u8>>) {
+        match (command, payload) {
+            (0x25, _) => self.scan = None,
+            (0x40, _) => {
+                self.resets += 1;
+                self.reboot(now_ns + BOOT_NS);
+            }
+            (0x50, _) => {
+                let mut answer = head(20, false, 0x04);
+                answer.extend([self.model.spec().series * 16 + 8, 29, 1, 7]);
+                answer.extend(0x10..0x20);
+                out.push(answer);
+            }
+            (0x52, _) => {
+                let mut answer = head(3, false, 0x06);
+                let is_broken = self.health == RplidarHealth::Protection;
+                answer.extend(if is_broken { [2, 0x02, 0x80] } else { [0, 0, 0] });
+                out.push(answer);
+            }
+            (0x20, _) => {
+                self.begin(Scan::Nodes { is_first: true }, head(5, true, 0x81), now_ns, out);
+            }
+            (0x82, [0, ..]) if self.knows_express => {
+                self.begin(Scan::Legacy { is_first: true }, head(84, true, 0x82), now_ns, out);
+            }
+            (0x82, [1, ..]) if self.knows_express && self.model == Model::S2 => {
+                self.begin(Scan::Dense { is_first: true }, head(84, true, 0x85), now_ns, out);
+            }
+            (0xf0 | 0xa8, [low, high]) => self.motor_on = *low > 0 || *high > 0,
+            _ => {}
+        }
+    }
+
+    fn begin(&mut self, scan: Scan, head: Vec<u8>, now_ns: u64, out: &mut Vec<Vec<u8>>) {
+        if self.health != RplidarHealth::Protection {
+            self.scan = Some(scan);
+            self.due_ns = now_ns;
+            out.push(head);
+        }
+    }
+
+    fn distance_mm(&mut self, clockwise_deg: f64) -> u16 {
+        let range = self.source.range(self.due_ns, -clockwise_deg.to_radians());
+        if self.health == RplidarHealth::Blind { 0 } else { packet_mm(range) }
+    }
+
+    /// The next message of a scan, and the number of measurements in it.
+    fn message(&mut self, scan: Scan, step_deg: f64) -> (Vec<u8>, usize) {
+        let start_deg = self.angle_deg;
+        match scan {
+            Scan::Nodes { .. } => {
+                let is_start = start_deg < step_deg;
+                let distance_mm = self.distance_mm(start_deg);
+                (node(is_start, start_deg, distance_mm), 1)
+            }
+            Scan::Legacy { is_first } => {
+                // The correction is subtracted, so the measured direction lies before the motor's.
+                let correction_deg = f64::from(CORRECTION) / 8.0;
+                let mut body = Vec::new();
+                for pair in 0..16 {
+                    body.extend(cabin([0, 1].map(|index| {
+                        let motor_deg = start_deg + step_deg * f64::from(2 * pair + index);
+                        (self.distance_mm(motor_deg - correction_deg), CORRECTION)
+                    })));
+                }
+                (capsule(is_first, start_deg, &body), 32)
+            }
+            Scan::Dense { is_first } => {
+                let body: Vec<u8> = (0..40)
+                    .flat_map(|index| {
+                        self.distance_mm(start_deg + step_deg * f64::from(index)).to_le_bytes()
+                    })
+                    .collect();
+                (capsule(is_first, start_deg, &body), 40)
+            }
+        }
+    }
+
+    fn rate_hz(&self, scan: Scan) -> f64 {
+        match scan {
+            Scan::Nodes { .. } => self.model.spec().rate_hz.1,
+            Scan::Legacy { .. } => 4000.0,
+            Scan::Dense { .. } => 32_000.0,
+        }
+    }
+}
+
+impl Sensor for RplidarSensor {
+    fn receive(&mut self, bytes: &[u8], now_ns: u64, out: &mut Vec<Vec<u8>>) {
+        if now_ns < self.ready_ns {
+            return;
+        }
+        self.input.extend(bytes);
+        while let Some(at) = self.input.iter().position(|byte| *byte == 0xa5) {
+            self.input.drain(..at);
+            let Some(command) = self.input.get(1).copied() else { return };
+            let mut length = 2;
+            if command >= 0x80 {
+                let Some(payload) = self.input.get(2) else { return };
+                length = 4 + usize::from(*payload);
+            }
+            if self.input.len() < length {
+                return;
+            }
+            let request: Vec<u8> = self.input.drain(..length).collect();
+            let sum = request.iter().fold(0, |sum, byte| sum ^ byte);
+            if command < 0x80 || sum == 0 {
+                self.answer(command, request.get(3..length - 1).unwrap_or_default(), now_ns, out);
+            }
+        }
+        self.input.clear();
+    }
+
+    fn update(&mut self, now_ns: u64, out: &mut Vec<Vec<u8>>) {
+        if self.health == RplidarHealth::Protection {
+            self.scan = None;
+        }
+        let Some(scan) = self.scan.filter(|_| self.motor_on) else {
+            self.due_ns = self.due_ns.max(now_ns);
+            return;
+        };
+        let mut scan = scan;
+        while self.due_ns <= now_ns {
+            let rate_hz = self.rate_hz(scan);
+            let step_deg = 360.0 * self.rotation_hz / rate_hz;
+            let start_deg = self.angle_deg;
+            let (message, count) = self.message(scan, step_deg);
+            self.angle_deg = (start_deg + step_deg * count as f64) % 360.0;
+            self.due_ns += (1e9 * count as f64 / rate_hz) as u64;
+            if self.missing_deg.as_ref().is_none_or(|part| !part.contains(&start_deg)) {
+                out.push(message);
+            }
+            scan = match scan {
+                Scan::Nodes { .. } => Scan::Nodes { is_first: false },
+                Scan::Legacy { .. } => Scan::Legacy { is_first: false },
+                Scan::Dense { .. } => Scan::Dense { is_first: false },
+            };
+        }
+        self.scan = Some(scan);
+    }
+
+    fn reboot(&mut self, ready_ns: u64) {
+        self.scan = None;
+        self.motor_on = self.model == Model::A1;
+        self.input.clear();
+        self.ready_ns = ready_ns;
+        self.due_ns = ready_ns;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rotary::CircleRoom;
+
+    fn answers(sensor: &mut RplidarSensor, request: &[u8]) -> Vec<Vec<u8>> {
+        let mut out = Vec::new();
+        sensor.receive(request, 1, &mut out);
+        out
+    }
+
+    #[test]
+    fn questions_are_answered_and_a_request_with_a_wrong_checksum_is_not() {
+        let mut sensor = RplidarSensor::new(Model::A2, Box::new(CircleRoom), 0);
+        let info = answers(&mut sensor, &[0xa5, 0x50]);
+        assert_eq!((info[0].len(), info[0][7]), (27, 0x28));
+        assert_eq!(answers(&mut sensor, &[0xa5, 0x52])[0][7..], [0, 0, 0]);
+        assert!(answers(&mut sensor, &[0xa5, 0x82, 5, 0, 0, 0, 0, 0, 0x23]).is_empty());
+        assert_eq!(sensor.is_scanning(), (false, false));
+        assert_eq!(answers(&mut sensor, &[0xa5, 0x82, 5, 0, 0, 0, 0, 0, 0x22]).len(), 1);
+        answers(&mut sensor, &[0xa5, 0xf0, 2, 0x94, 2, 0xc1]);
+        assert_eq!(sensor.is_scanning(), (true, true));
+    }
+
+    #[test]
+    fn an_express_scan_of_a_second_has_125_capsules() {
+        let mut sensor = RplidarSensor::new(Model::A1, Box::new(CircleRoom), 0);
+        answers(&mut sensor, &[0xa5, 0x82, 5, 0, 0, 0, 0, 0, 0x22]);
+        let mut out = Vec::new();
+        sensor.update(1_000_000_000, &mut out);
+        assert_eq!(out.len(), 125);
+        assert!(out.iter().all(|message| message.len() == 84));
+    }
+}
