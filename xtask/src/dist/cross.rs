@@ -1,4 +1,4 @@
-//! Builds the program for another architecture with the cross toolchain of Debian 12. Its `rustc-web` is newer than its
+//! Builds the programs for another architecture with the cross toolchain of Debian 12. Its `rustc-web` is newer than its
 //! `rustc`, and has a standard library for every architecture of Debian.
 
 use std::path::PathBuf;
@@ -6,7 +6,7 @@ use std::process::Stdio;
 
 use anyhow::{Context, Result, bail};
 
-use super::Arch;
+use super::{Arch, BUILD, packages};
 use crate::{command, paths};
 
 const PACKAGES: [&str; 6] = [
@@ -22,7 +22,7 @@ const PACKAGES: [&str; 6] = [
 const CARGO: &str = "/usr/bin/cargo";
 const RUSTC: &str = "/usr/bin/rustc";
 
-/// Builds the program. Installs the toolchain if it is missing.
+/// Builds the programs and returns their folder. Installs the toolchain if it is missing.
 pub fn build(arch: Arch) -> Result<PathBuf> {
     if arch != Arch::Arm {
         bail!(
@@ -32,16 +32,7 @@ pub fn build(arch: Arch) -> Result<PathBuf> {
     }
     install().context("the cross build needs root on Debian 12 once, for apt")?;
     let mut cargo = command::program(CARGO);
-    cargo.args([
-        "build",
-        "--locked",
-        "--release",
-        "--package",
-        "firmware-host",
-        "--no-default-features",
-        "--target",
-        "aarch64-unknown-linux-gnu",
-    ]);
+    cargo.args(BUILD).args(packages()).args(["--target", "aarch64-unknown-linux-gnu"]);
     // The build has a target directory of its own, because this compiler differs from that of all other builds.
     cargo.arg("--target-dir").arg(paths::target().join("cross"));
     // The environment of this chore is that of another toolchain.
@@ -52,7 +43,7 @@ pub fn build(arch: Arch) -> Result<PathBuf> {
     command::run(
         cargo.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER", "aarch64-linux-gnu-gcc"),
     )?;
-    Ok(paths::target().join("cross/aarch64-unknown-linux-gnu/release/firmware-host"))
+    Ok(paths::target().join("cross/aarch64-unknown-linux-gnu/release"))
 }
 
 fn install() -> Result<()> {

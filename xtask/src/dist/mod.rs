@@ -52,8 +52,8 @@ impl Arch {
 /// Builds the package for `arch`, by default this computer's.
 pub fn run(arch: Option<Arch>) -> Result<()> {
     let arch = arch.unwrap_or_else(Arch::of_this_computer);
-    let program = if arch.is_this_computers() { build()? } else { cross::build(arch)? };
-    let package = package::make(arch, &program, &paths::target().join("dist"))?;
+    let built = if arch.is_this_computers() { build()? } else { cross::build(arch)? };
+    let package = package::make(arch, &built, &paths::target().join("dist"))?;
     trial::run(arch, &package)?;
     println!(
         "\n{}: install it on the robot with `apt install ./NAME.deb`; docs/install.md has the next steps",
@@ -62,13 +62,19 @@ pub fn run(arch: Option<Arch>) -> Result<()> {
     Ok(())
 }
 
-/// Builds the robot's program, without the simulator. Its target directory is its own, so that it does not replace the
-/// program of other builds, which has a simulator.
+const BUILD: [&str; 4] = ["build", "--locked", "--release", "--no-default-features"];
+
+/// Cargo's arguments for the packages of the programs.
+fn packages() -> impl Iterator<Item = &'static str> {
+    package::PROGRAMS.iter().flat_map(|program| ["--package", program])
+}
+
+/// Builds the robot's programs, without the simulator; returns their folder. Its target directory is its own, so that it does not
+/// replace the program of other builds, which has a simulator.
 fn build() -> Result<PathBuf> {
     let folder = paths::target().join("package");
-    let arguments = "build --locked --release --package firmware-host --no-default-features";
     let mut cargo = command::cargo();
-    cargo.args(arguments.split_whitespace()).arg("--target-dir").arg(&folder);
+    cargo.args(BUILD).args(packages()).arg("--target-dir").arg(&folder);
     command::run(&mut cargo)?;
-    Ok(folder.join("release/firmware-host"))
+    Ok(folder.join("release"))
 }

@@ -11,7 +11,7 @@ use super::{Arch, trial};
 use crate::{command, onnx_runtime, paths};
 
 /// Files that are copied unchanged: path in the repository, path on the robot.
-const FILES: [(&str, &str); 10] = [
+const FILES: [(&str, &str); 12] = [
     ("firmware-host/models/default.onnx", "usr/share/embodied-depth/default.onnx"),
     ("firmware-host/models/README.md", "usr/share/doc/embodied-depth/default.onnx.md"),
     ("firmware-host/robot.default.toml", "usr/share/doc/embodied-depth/robot.default.toml"),
@@ -19,6 +19,11 @@ const FILES: [(&str, &str); 10] = [
     ("firmware-host/packaging/copyright", "usr/share/doc/embodied-depth/copyright"),
     ("firmware-host/packaging/robot.toml", "etc/embodied-depth/robot.toml"),
     ("firmware-host/packaging/embodied-depth.service", "lib/systemd/system/embodied-depth.service"),
+    (
+        "firmware-host/packaging/embodied-depth-live.service",
+        "lib/systemd/system/embodied-depth-live.service",
+    ),
+    ("docs/live-view.md", "usr/share/doc/embodied-depth/live-view.md"),
     ("firmware-host/packaging/60-embodied-depth.rules", "lib/udev/rules.d/60-embodied-depth.rules"),
     ("firmware-host/packaging/sysusers.conf", "usr/lib/sysusers.d/embodied-depth.conf"),
     ("firmware-host/packaging/modules-load.conf", "usr/lib/modules-load.d/embodied-depth.conf"),
@@ -26,12 +31,14 @@ const FILES: [(&str, &str); 10] = [
 /// Files that the user may change, and that an upgrade keeps.
 const CONFFILES: &str = "/etc/embodied-depth/robot.toml\n";
 const SCRIPTS: [&str; 3] = ["postinst", "prerm", "postrm"];
-/// Folder of the program and of ONNX Runtime, which it finds beside itself.
+/// The programs of the package, which are also the crates that they are built from.
+pub const PROGRAMS: [&str; 2] = ["firmware-host", "live-view"];
+/// Folder of the programs and of ONNX Runtime, which `firmware-host` finds beside itself.
 const LIBRARIES: &str = "usr/lib/embodied-depth";
 const DOCUMENTS: &str = "usr/share/doc/embodied-depth";
 
-/// Packs the program into a package in `folder`. Returns the package's path.
-pub fn make(arch: Arch, program: &Path, folder: &Path) -> Result<PathBuf> {
+/// Packs the programs, which were built in the folder `built`, into a package in `folder`. Returns the package's path.
+pub fn make(arch: Arch, built: &Path, folder: &Path) -> Result<PathBuf> {
     let root = folder.join(arch.name());
     if root.exists() {
         fs::remove_dir_all(&root).with_context(|| format!("removing {}", root.display()))?;
@@ -39,18 +46,26 @@ pub fn make(arch: Arch, program: &Path, folder: &Path) -> Result<PathBuf> {
     for (from, to) in FILES {
         copy(&paths::root().join(from), &root.join(to), 0o644)?;
     }
-    let installed = root.join(LIBRARIES).join("firmware-host");
-    copy(program, &installed, 0o755)?;
-    // Most of the program's size is line numbers. The names of functions are kept, for the trace of a panic.
-    command::run(command::program(strip(arch)).arg("--strip-debug").arg(&installed))?;
     fs::create_dir_all(root.join("usr/bin"))?;
-    symlink("../lib/embodied-depth/firmware-host", root.join("usr/bin/firmware-host"))?;
-    manual(arch, &root)?;
     let library = onnx_runtime(arch, &root)?;
+    let mut glibc = needed_glibc(&library)?;
+    for program in PROGRAMS {
+        glibc = glibc.max(needed_glibc(&install(arch, &built.join(program), &root, program)?)?);
+    }
+    manual(arch, &root)?;
     fs::write(root.join(DOCUMENTS).join("third-party.txt"), crates()?)?;
-    let glibc = needed_glibc(&installed)?.max(needed_glibc(&library)?);
     control(arch, &root, glibc)?;
     pack(arch, &root, folder)
+}
+
+/// Copies a program into the package. Returns its path there.
+fn install(arch: Arch, program: &Path, root: &Path, name: &str) -> Result<PathBuf> {
+    let installed = root.join(LIBRARIES).join(name);
+    copy(program, &installed, 0o755)?;
+    // Most of a program's size is line numbers. The names of functions are kept, for the trace of a panic.
+    command::run(command::program(strip(arch)).arg("--strip-debug").arg(&installed))?;
+    symlink(format!("../lib/embodied-depth/{name}"), root.join("usr/bin").join(name))?;
+    Ok(installed)
 }
 
 fn onnx_runtime(arch: Arch, root: &Path) -> Result<PathBuf> {
@@ -106,20 +121,11 @@ fn strip(arch: Arch) -> String {
     }
 }
 
-/// The crates in the program with their licences.
+/// The crates in the programs with their licences.
 fn crates() -> Result<String> {
     let mut tree = command::cargo();
-    tree.args([
-        "tree",
-        "--locked",
-        "--quiet",
-        "--package",
-        "firmware-host",
-        "--edges",
-        "normal",
-        "--prefix",
-        "none",
-    ]);
+    tree.args(["tree", "--locked", "--quiet", "--edges", "normal", "--prefix", "none"]);
+    tree.args(PROGRAMS.iter().flat_map(|program| ["--package", program]));
     let listed = output(tree.args(["--format", "{p}  {l}", "--target", "all"]))?;
     // The project's crates are listed with their paths, and repeated crates with a star.
     let mut lines: Vec<_> = listed
@@ -171,8 +177,8 @@ fn control(arch: Arch, root: &Path, (major, minor): (u32, u32)) -> Result<()> {
          Description: robot that explores a home and learns how far things are\n\
          \x20Drives a robot with a camera (V4L2), a scanner (Hokuyo, RPLIDAR,\n\
          \x20LD06) and two motors (CAN),\n\
-         \x20explores, records, and computes depth from its own motion. With ONNX Runtime\n\
-         \x20and a depth network.\n",
+         \x20explores, records, and computes depth from its own motion. With ONNX Runtime,\n\
+         \x20a depth network, and a live view for browsers.\n",
         env!("CARGO_PKG_VERSION"),
         arch.debian(),
     );

@@ -24,6 +24,7 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
         firmware
     };
     command::run(&mut firmware(&["--version"]))?;
+    live_view(arch, &root, &folder)?;
     // The endpoints of the robot's own motors are the only values that the packaged configuration lacks.
     let config = read(&root.join("etc/embodied-depth/robot.toml"))?;
     let completed = folder.join("robot.toml");
@@ -134,17 +135,37 @@ fn emulated(arch: Arch, path: &Path) -> Command {
     emulator
 }
 
-/// Checks the unit with systemd-analyze, if it is installed.
+/// Runs the live view as far as that goes without a robot: it writes its layout for Foxglove, and refuses to serve a network without
+/// tokens.
+fn live_view(arch: Arch, root: &Path, folder: &Path) -> Result<()> {
+    let path = root.join("usr/bin/live-view");
+    command::run(program(arch, &path).arg("--version"))?;
+    let layout = folder.join("foxglove.json");
+    let mut refused = program(arch, &path);
+    refused.args(["--listen", "0.0.0.0:0", "--layout"]).arg(layout);
+    let output = refused.output()?;
+    ensure!(
+        output.status.code() == Some(2)
+            && String::from_utf8_lossy(&output.stderr).contains("--tokens"),
+        "live-view does not refuse an open address without tokens: {output:?}"
+    );
+    Ok(())
+}
+
+/// Checks the units with systemd-analyze, if it is installed.
 fn service(root: &Path) -> Result<()> {
     if !command::works(command::program("systemd-analyze").arg("--version")) {
         println!("systemd-analyze is not installed: the service is not checked");
         return Ok(());
     }
-    let unit = root.join("lib/systemd/system/embodied-depth.service");
-    command::run(command::program("systemd-analyze").args(["verify", "--man=no"]).arg(&unit))?;
-    // On a scale to 10. The score is 2.1, from the service's access to devices and the network.
-    let mut security = command::program("systemd-analyze");
-    security.args(["security", "--no-pager", "--offline=yes", "--threshold=25"]).arg(&unit);
-    command::run(security.stdout(std::process::Stdio::null()))
-        .context("the service has more rights than it had")
+    for name in ["embodied-depth.service", "embodied-depth-live.service"] {
+        let unit = root.join("lib/systemd/system").join(name);
+        command::run(command::program("systemd-analyze").args(["verify", "--man=no"]).arg(&unit))?;
+        // On a scale to 10. The robot's score is 2.1, from its access to devices and the network.
+        let mut security = command::program("systemd-analyze");
+        security.args(["security", "--no-pager", "--offline=yes", "--threshold=25"]).arg(&unit);
+        command::run(security.stdout(std::process::Stdio::null()))
+            .with_context(|| format!("{name} has more rights than it had"))?;
+    }
+    Ok(())
 }
