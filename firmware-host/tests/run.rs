@@ -18,10 +18,11 @@ use std::time::{Duration, Instant};
 use assert_cmd::cargo::CommandCargoExt;
 use drivers::can::messages::SafetyInput;
 use drivers::can::{CanBus, Protocol, UnixBus};
+use drivers::rplidar::Model;
 use firmware_host::model::{State, Store, What};
 use firmware_host::run::status::Status;
 use hal::{CameraModel, Clock};
-use hil::world::{LiveOptions, LiveWorld};
+use hil::world::{LiveOptions, LiveWorld, ScannerModel};
 use live_link::{Frame, FrameReader};
 use monotonic_clock::MonotonicClock;
 use rustix::process::{Pid, Signal, kill_process};
@@ -301,6 +302,47 @@ fn it_explores_stands_while_a_device_is_gone_says_so_and_goes_on_without_help() 
     scene.world.plug_camera(true);
     scene.drives("driving after the camera was plugged in again");
     scene.ends_well();
+}
+
+/// It drives, stands while the scanner is gone or rotates too slowly, and goes on.
+fn drives_and_stands_rightly_with(lidar: ScannerModel, fault_of_the_motor: &str) {
+    let options = LiveOptions {
+        lidar,
+        camera: CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2),
+        ..LiveOptions::default()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let world = LiveWorld::start(folder.path(), &options).unwrap();
+    let robot = start(&world, folder.path(), "run", &[]);
+    let mut scene = Scene { folder, world, robot };
+    scene.drives_first();
+    scene.world.lidar().unplug();
+    scene.state_is("fault: no new scan from the LiDAR");
+    assert!(scene.way_m() < 0.01, "it drives without a scanner");
+    scene.world.lidar().plug_in().unwrap();
+    scene.drives("driving after the scanner was plugged in again");
+    scene.world.lidar().break_motor(true);
+    scene.wait("a fault of the scanner", |scene| {
+        let problem = scene.status().and_then(|status| status.lidar.problem);
+        problem.is_some_and(|problem| problem.contains(fault_of_the_motor))
+    });
+    scene.state_is("fault: no new scan from the LiDAR");
+    assert!(scene.way_m() < 0.01, "it drives with a broken scanner");
+    scene.world.lidar().break_motor(false);
+    scene.drives("driving after the scanner was repaired");
+    let (touches, _) = scene.world.home().score();
+    assert_eq!(touches, 0);
+    scene.ends_well();
+}
+
+#[test]
+fn with_an_ld06_it_drives_stands_while_the_scanner_is_gone_or_slow_and_goes_on() {
+    drives_and_stands_rightly_with(ScannerModel::Ld06, "rotates 3.");
+}
+
+#[test]
+fn with_an_rplidar_a1_it_drives_stands_while_the_scanner_is_gone_or_broken_and_goes_on() {
+    drives_and_stands_rightly_with(ScannerModel::Rplidar(Model::A1), "code 0x8002");
 }
 
 #[test]

@@ -109,7 +109,7 @@ impl Packet {
     pub fn span_centidegrees(&self) -> u16 {
         let end = self.end_centidegrees % TURN;
         let start = self.start_centidegrees % TURN;
-        if end >= start { end - start } else { end + TURN - start }
+        if end >= start { end - start } else { TURN - start + end }
     }
 
     /// Clockwise angle of a point, radians from 0 to 2 pi. The points are spread evenly.
@@ -179,6 +179,14 @@ mod tests {
         let wide = Packet { start_centidegrees: 0, end_centidegrees: 2001, ..any_packet() };
         let error = Packet::read(&wide.write()).unwrap_err().to_string();
         assert!(error.contains("2001") && error.contains("0 to 2000"), "{error}");
+    }
+
+    #[test]
+    fn points_that_run_backwards_are_refused() {
+        let backwards =
+            Packet { start_centidegrees: 35_000, end_centidegrees: 34_000, ..any_packet() };
+        let refused = Packet::read(&backwards.write());
+        assert_eq!(refused, Err(PacketError::Span { centidegrees: 35_000, limit: 2000 }));
     }
 
     fn any_packet() -> Packet {

@@ -52,6 +52,8 @@ fn the_declarations_name_exactly_the_keys_that_serde_reads_and_writes() {
     config.devices.camera.exposure_us = Some(Setting::Auto);
     config.devices.camera.gain = Some(Setting::Auto);
     config.devices.camera.white_balance_k = Some(Setting::Auto);
+    config.devices.lidar.rplidar.baud = Some(115_200);
+    config.devices.lidar.rplidar.rotation_hz = Some(7.0);
     let mut written = written_names(&toml::Table::try_from(config).unwrap(), "");
     let mut declared = check::full_names(&Config::SECTION, "");
     written.sort();
@@ -76,7 +78,7 @@ fn choices(section: &Section, prefix: &str) -> Vec<(String, &'static [&'static s
 #[test]
 fn every_declared_choice_can_be_read() {
     let choices = choices(&Config::SECTION, "");
-    assert_eq!(choices.len(), 8);
+    assert_eq!(choices.len(), 11);
     for (key, choices) in choices {
         for choice in choices {
             // Some combinations are refused by a rule between keys, which is checked after reading.

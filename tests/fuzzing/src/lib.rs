@@ -15,11 +15,13 @@ mod buffer_wire;
 mod bundle;
 mod can;
 mod config;
+mod ld06;
 mod live_view;
 mod localize_log;
 mod map_state;
 mod onnx_file;
 mod recording;
+mod rplidar;
 mod scip;
 mod segment;
 mod snapshot;
@@ -32,11 +34,13 @@ pub use config::config;
 /// Arbitrary sequences of camera events: the driver follows the queue's rules and returns no stale
 /// frame.
 pub use hil::video::check_events as v4l2_queue;
+pub use ld06::ld06;
 pub use live_view::live_view;
 pub use localize_log::localize_log;
 pub use map_state::map_state;
 pub use onnx_file::onnx_file;
 pub use recording::recording;
+pub use rplidar::rplidar;
 pub use scip::scip;
 pub use segment::segment;
 pub use snapshot::snapshot;
@@ -46,16 +50,18 @@ pub use viewer::viewer;
 pub type Check = fn(&[u8]);
 
 /// All checks, by the name of their target and corpus.
-pub const TARGETS: [(&str, Check); 14] = [
+pub const TARGETS: [(&str, Check); 16] = [
     ("buffer_wire", buffer_wire),
     ("bundle", bundle),
     ("can", can),
     ("config", config),
+    ("ld06", ld06),
     ("live_view", live_view),
     ("localize_log", localize_log),
     ("map_state", map_state),
     ("onnx_file", onnx_file),
     ("recording", recording),
+    ("rplidar", rplidar),
     ("scip", scip),
     ("segment", segment),
     ("snapshot", snapshot),

@@ -30,6 +30,16 @@ fn any_bytes_from_a_scanner_are_handled() {
 }
 
 #[test]
+fn any_bytes_from_an_ld06_are_handled() {
+    run_corpus("ld06");
+}
+
+#[test]
+fn any_bytes_from_an_rplidar_are_handled() {
+    run_corpus("rplidar");
+}
+
+#[test]
 fn any_records_from_a_can_bus_are_handled() {
     run_corpus("can");
 }

@@ -1,0 +1,51 @@
+use drivers::FixedFramer;
+use drivers::ld06::{Decoder, PACKET_BYTES, Packet, may_begin};
+use drivers::rotary::{Event, Mount, Turn, circle};
+use hal::Range;
+
+/// Arbitrary bytes from an LD06 as input of its codec: the packets are those that a simple search
+/// finds, and every measurement is finite and gets a beam.
+pub fn ld06(data: &[u8]) {
+    let mut framer = FixedFramer::<PACKET_BYTES>::new(may_begin);
+    let mut found = Vec::new();
+    let mut decoder = Decoder::new(15);
+    let geometry = circle(450.0, (0.02, 12.0), 1);
+    let mut turn = Turn::new(&geometry, Mount::default());
+    let mut samples = 0;
+    for byte in data {
+        found.extend(framer.push(*byte, Packet::read).and_then(Result::ok));
+        decoder.push(*byte, |event| {
+            let Event::Sample(sample) = event else { return };
+            samples += 1;
+            assert!((0.0..std::f64::consts::TAU).contains(&sample.clockwise_rad));
+            turn.add(&sample);
+        });
+    }
+    assert_eq!(found, simple_search(data));
+    assert_eq!(samples, 12 * found.len());
+    let mut ranges = Vec::new();
+    turn.finish(&mut ranges);
+    assert_eq!(ranges.len(), geometry.beams);
+    assert!(ranges.iter().all(|range| range.hit_m().is_none_or(|m| (0.02..=12.0).contains(&m))));
+    if found.is_empty() {
+        assert!(ranges.iter().all(|range| *range == Range::Error), "nothing was measured");
+    }
+}
+
+/// The packets in the bytes, from the first to the last, none of which overlap.
+fn simple_search(data: &[u8]) -> Vec<Packet> {
+    let mut found = Vec::new();
+    let mut at = 0;
+    while let Some(window) = data.get(at..at + PACKET_BYTES) {
+        let window = window.try_into().expect("the window has this length");
+        match Packet::read(window).ok().filter(|_| may_begin(window)) {
+            Some(packet) => {
+                assert_eq!(packet.write(), *window, "a packet is written as it was read");
+                found.push(packet);
+                at += PACKET_BYTES;
+            }
+            None => at += 1,
+        }
+    }
+    found
+}
