@@ -43,8 +43,8 @@ POLL_INTERVAL_S = 2.0
 # The default network's settings without decay, because the training has no end.
 ENDLESS = replace(SETTINGS, decay=None)
 # The learning rate for going on from a network that has learnt already. It falls to 0 in every round: at a constant
-# rate of 3e-4, the validation loss was .107 after 480 steps and .120 after 600. Falling from 3e-4 it was .110 after 600,
-# from 1e-3 .106.
+# rate of 3e-4, the validation loss was .107 after 480 steps and .120 after 600. Falling from 3e-4 it was .110 after
+# 600, from 1e-3 .106.
 GOING_ON = 1e-3
 
 

@@ -184,3 +184,16 @@ def _set_statistics(norm: nn.BatchNorm2d, mean: Tensor, variance: Tensor) -> Non
     norm.running_var.copy_(variance)
     norm.weight.copy_(scale * (norm.running_var.double() + norm.eps).sqrt())
     norm.bias.copy_(shift + scale * norm.running_mean.double())
+
+
+# Share of a batch in the statistics that evaluation uses, for a network that has statistics already. With PyTorch's 0.1
+# they are those of the last ten batches, and a validation loss was .1058 after 600 steps; with this one it was .1033.
+# In both trainings it still rose by 2 to 4 % over the last 60 steps, in which the weights hardly changed.
+MOMENTUM = 0.01
+
+
+def average_longer(network: nn.Module) -> None:
+    """Makes batch norms average their statistics over a hundred batches instead of ten."""
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.momentum = MOMENTUM

@@ -28,7 +28,7 @@ from embodied_depth_trainer.losses.depth_supervision import coarse_error, correc
 from embodied_depth_trainer.losses.lidar import lidar_error
 from embodied_depth_trainer.losses.reprojection import View, supervision_parts
 from embodied_depth_trainer.networks.cost_volume import volume_planes
-from embodied_depth_trainer.networks.exported import restore_statistics
+from embodied_depth_trainer.networks.exported import average_longer, restore_statistics
 from embodied_depth_trainer.networks.imagenet_weights import load_imagenet
 from embodied_depth_trainer.networks.inputs import second_input
 from embodied_depth_trainer.networks.manydepth import ManyDepth, VolumeAugmentation
@@ -100,6 +100,7 @@ class Trainer:
             load_imagenet(network, settings.encoder)
         if settings.init is not None:
             load_initial(network, settings.network, settings.depth_range_m, settings.init)
+            average_longer(network)
         # Channels last, which convolutions on CPUs prefer.
         network = network.to(device).to(memory_format=torch.channels_last)
         self.network = processes.share_batch_norms(network)
