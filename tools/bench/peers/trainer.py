@@ -101,7 +101,7 @@ class Bench:
         """Medians of the parts of a step, timed one after another, and the share of full steps spent waiting for data."""
 
         def forward() -> None:
-            self.disparity = trainer.render(batch.augmented, batch.coarse)
+            self.disparity = trainer.predict(batch.augmented, batch.coarse)
 
         def loss() -> None:
             self.value = trainer.loss_of(batch, *self.disparity)
