@@ -148,12 +148,44 @@ fn a_better_model_is_accepted_a_worse_one_and_one_with_nan_are_not() {
 }
 
 #[test]
+fn models_that_are_blind_near_the_robot_are_refused_and_one_that_is_as_good_is_accepted() {
+    let robot = Robot::new();
+    let better = robot.has("better");
+    for name in ["blind_middle", "blind_near"] {
+        let said = robot.judged_by_recordings(name);
+        assert_eq!(said["accepted"], false, "{name}: {said}");
+        assert!(said["why"].as_str().unwrap().contains("of the obstacles"), "{name}: {said}");
+        assert_eq!(robot.state().current(), Some(&*better), "{name}");
+    }
+    let as_good = robot.judged_by_recordings("as_good");
+    assert_eq!(as_good["accepted"], true, "{as_good}");
+}
+
+#[test]
+fn a_sequence_of_models_that_become_blind_column_by_column_ends_at_a_limit_that_does_not_slide() {
+    let robot = Robot::new();
+    robot.has("better");
+    let accepted = (1..=6).map(|step| {
+        let said = robot.judged_by_recordings(&format!("creeping_{step}"));
+        if said["accepted"] == true {
+            // The next one is compared with this one.
+            robot.store().keep(said["digest"].as_str().unwrap(), "for the test").unwrap();
+            return true;
+        }
+        assert!(said["why"].as_str().unwrap().contains("of the obstacles"), "{step}: {said}");
+        false
+    });
+    let accepted: Vec<bool> = accepted.collect();
+    assert!(!accepted[5], "{accepted:?}");
+}
+
+#[test]
 fn a_model_that_behaves_is_kept_and_its_run_replays_exactly_with_the_store() {
     let robot = Robot::new();
     robot.has("guess");
     let bytes = std::fs::read(model_file("better")).unwrap();
     robot.store().install(&bytes, "", "better").unwrap();
-    robot.explore("run", "150", &[]);
+    robot.explore("run", "400", &[]);
     let state = robot.state();
     assert_eq!((state.trial_starts, state.models.len()), (None, 2));
     assert_eq!(robot.store().history().entries.last().unwrap().what, What::Kept);
@@ -161,7 +193,7 @@ fn a_model_that_behaves_is_kept_and_its_run_replays_exactly_with_the_store() {
     let store = robot.text("store");
     let replayed = run(&["replay", &out, "--model-store", &store]);
     let said = String::from_utf8_lossy(&replayed.stdout).into_owned();
-    assert!(replayed.status.success() && said.contains("replay: ticks=150 mismatches=0"), "{said}");
+    assert!(replayed.status.success() && said.contains("replay: ticks=400 mismatches=0"), "{said}");
     let refused = run(&["replay", &out]);
     assert!(String::from_utf8_lossy(&refused.stderr).contains("--model-store"));
 }
@@ -182,6 +214,53 @@ fn a_model_that_passes_the_gate_and_then_misbehaves_is_rolled_back_within_its_tr
     // A model that was rolled back is not installed again.
     let again = robot.install(&robot.signed("nan_in_the_dark"), &["--unproven"]);
     assert_eq!(again["kind"], "rolled_back_before", "{again}");
+}
+
+#[test]
+fn a_trial_goes_on_over_restarts_and_is_compared_with_what_was_counted_before_them() {
+    let robot = Robot::with(&CONFIG.replace("trial_m = 0.2", "trial_m = 30"));
+    let guess = robot.has("guess");
+    robot.explore("resident", "200", &[]);
+    let resident = robot.store().counts().resident;
+    assert_eq!((resident.digest.as_deref(), resident.counts.ticks), (Some(&*guess), 200));
+    let better = std::fs::read(model_file("better")).unwrap();
+    robot.store().install(&better, "", "better").unwrap();
+    for run in 1..=5 {
+        robot.explore(&format!("run{run}"), "70", &[]);
+        let saved = robot.store().counts();
+        assert_eq!(saved.resident, resident);
+        let counts = saved.trial.unwrap().counts;
+        // Starts without a crash are not held against the model.
+        assert_eq!((robot.state().trial_starts, counts.ticks), (Some(0), 70 * run));
+        assert!(counts.moving_ticks > 0 && counts.moving_ticks <= counts.ticks);
+    }
+}
+
+#[test]
+fn a_model_whose_depth_is_never_right_is_rolled_back_in_its_trial() {
+    let robot = Robot::new();
+    let guess = robot.has("guess");
+    // Without counts of the resident model: the absolute limit holds.
+    let far = std::fs::read(model_file("far")).unwrap();
+    robot.store().install(&far, "", "far").unwrap();
+    robot.explore("run", "120", &[]);
+    assert_eq!(robot.state().current(), Some(&*guess));
+    let history = robot.store().history();
+    let last = history.entries.last().unwrap();
+    assert!(last.why.contains("right against the LiDAR"), "{last:?}");
+}
+
+#[test]
+fn a_model_that_is_blind_near_the_robot_is_rolled_back_in_its_trial() {
+    let robot = Robot::with(&CONFIG.replace("trial_m = 0.2", "trial_m = 30"));
+    let better = robot.has("better");
+    let blind = std::fs::read(model_file("blind_near")).unwrap();
+    robot.store().install(&blind, "", "blind_near").unwrap();
+    robot.explore("run", "1500", &[]);
+    let history = robot.store().history();
+    let last = history.entries.last().unwrap();
+    assert!(last.why.contains("missed"), "{last:?}");
+    assert_eq!(robot.state().current(), Some(&*better));
 }
 
 #[test]

@@ -135,10 +135,10 @@ hal::settings! {
         gate_memory_mib: u64 = 4096, in 256..=1048576, unit "MiB";
         /// Time limit of the process that examines a model. Its limit of processor time is twice this.
         gate_timeout_s: u64 = 600, in 1..=86400, unit "s";
-        /// Ticks of the trial of a new model. 600 ticks are one minute.
+        /// Ticks of the trial of a new model: only those in which a plan moved the robot count. 600 ticks are one minute.
         trial_ticks: u64 = TrialLimits::default().ticks, in 10..=1000000, unit "ticks", was "trial_turns";
-        /// Distance that the robot drives during a trial. A trial with less distance ends after ten times as many ticks.
-        trial_m: f64 = TrialLimits::default().metres, in 0.0..=1000.0, unit "m";
+        /// Distance that plans drive during a trial. A robot that stands ends no trial.
+        trial_m: f64 = TrialLimits::default().metres, in 0.1..=1000.0, unit "m";
     }
 }
 

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand};
-use runtime::model_gate::{Examination, GateLimits, Verdict};
+use runtime::model_gate::{Examination, GateLimits, NearEvidence, Verdict};
 use serde_json::json;
 use signed_model::{Bundle, TrustedKeys};
 
@@ -285,6 +285,13 @@ fn print_measured(examination: &Examination, verdict: &Verdict) {
             paired.lower,
             paired.upper
         );
+    }
+    for evidence in &verdict.near {
+        let NearEvidence { what, frames, lost, .. } = evidence;
+        match lost {
+            Some(lost) => println!("  obstacles {what}: {lost:.3} lost ({frames} frames)"),
+            None => println!("  obstacles {what}: cannot say, {frames} frames show any"),
+        }
     }
     let latency = &examination.latency;
     println!(

@@ -269,9 +269,9 @@ impl Examiner {
         let began = Instant::now();
         let estimate = network.estimate(view, &sample.t_odom_camera, sample.coarse);
         let ms = began.elapsed().as_secs_f64() * 1e3;
-        let score = estimate
-            .ok()
-            .map(|estimate| self.scorer.score(sample.rgb, estimate, sources, &sample.line));
+        let score = estimate.ok().map(|estimate| {
+            self.scorer.score(sample.rgb, estimate, sample.coarse, sources, &sample.line)
+        });
         Ok((score, ms))
     }
 

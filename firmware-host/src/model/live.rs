@@ -3,21 +3,22 @@
 //!
 //! The model before it stays in memory until the trial is over, so a rollback needs no disk.
 
-use hal::{Clock, Pose2};
+use hal::{CameraModel, Clock, Pose2};
 use monotonic_clock::MonotonicClock;
 use runtime::event::{Event, SafetyEvent};
 use runtime::model_gate::{
-    LidarView, Trial, TrialCounts, TrialLimits, TrialState, TrialTick, lidar_score,
+    LidarView, Trial, TrialCounts, TrialLimits, TrialState, TrialTick, band_scores, lidar_score,
 };
 use runtime::perception::{DepthNetwork, NoDepth};
 use runtime::robot::Robot;
-use runtime::tick::{Decision, TickInput};
+use runtime::tick::{Command, Decision, TickInput};
 
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
 use anyhow::{Context, Result};
 
+use super::counts::{Counted, SavedCounts};
 use super::error::StoreErrorKind;
 use super::store::{State, Store};
 use crate::config::Config;
@@ -29,6 +30,9 @@ const POLL_INTERVAL_NS: u64 = 1_000_000_000;
 /// changes of the home and its light.
 const REMEMBERED_TICKS: u64 = 6000;
 
+/// The counts are written to the disk after every so many ticks with a frame, 10 s at 10 Hz.
+const SAVED_EVERY_TICKS: u64 = 100;
+
 /// A change of the current model.
 pub enum Swap {
     /// Use this network, which is loaded and warmed up.
@@ -37,7 +41,7 @@ pub enum Swap {
     ToNone,
 }
 
-/// Request of the control loop to the [`Keeper`]: how a trial ended.
+/// Request of the control loop to the [`Keeper`]: how a trial goes and how it ended.
 enum Request {
     Keep {
         digest: String,
@@ -49,6 +53,11 @@ enum Request {
         why: String,
         drives: Option<String>,
     },
+    /// The model on trial has run for long enough not to be the cause of crashes.
+    Survived {
+        digest: String,
+    },
+    Save(SavedCounts),
 }
 
 /// Watches one store: loads newly installed models, and writes the results of trials into it.
@@ -97,7 +106,10 @@ impl Keeper {
             .and_then(|digest| keeper.load(digest).ok());
         keeper.seen =
             keeper.store.state().ok().and_then(|state| state.current().map(str::to_owned));
-        Ok((keeper, Start { network, on_trial, resident }))
+        let used = if on_trial.is_some() { resident.as_ref() } else { network.as_ref() };
+        let compared_with = used.map(|network| network.digest().to_owned());
+        let counts = keeper.store.counts();
+        Ok((keeper, Start { network, on_trial, resident, compared_with, counts }))
     }
 
     /// The state of the store at the start. The robot must also start with a full disk or a damaged
@@ -182,6 +194,16 @@ impl Keeper {
                     self.seen = drives;
                 }
             }
+            Request::Survived { digest } => {
+                if let Err(error) = self.store.survived(&digest) {
+                    tracing::warn!("the starts of the model {digest} are not forgotten: {error}");
+                }
+            }
+            Request::Save(counts) => {
+                if let Err(error) = self.store.save_counts(&counts) {
+                    tracing::warn!("the counts of the trial are not saved: {error}");
+                }
+            }
         }
     }
 
@@ -206,6 +228,11 @@ pub struct Start {
     pub on_trial: Option<String>,
     /// The network before it, if `network` is on trial.
     pub resident: Option<DepthNetwork>,
+    /// Digest of the model that a candidate is compared with: of `resident` during a trial, else of
+    /// `network`; `None` for coarse depth only.
+    pub compared_with: Option<String>,
+    /// What was counted before the start.
+    pub counts: SavedCounts,
 }
 
 /// How the control loop receives new models.
@@ -223,9 +250,14 @@ pub struct LiveModels {
     trial: Option<OnTrial>,
     limits: TrialLimits,
     /// Counts of the model that is in use without a trial, for comparison.
-    resident: TrialCounts,
+    resident: Counted,
     next_poll_ns: u64,
     last: Option<Pose2>,
+    camera: CameraModel,
+    /// Number of ticks with a frame since the counts were saved.
+    unsaved: u64,
+    /// Number of ticks with a frame since the model on trial was started.
+    ran: u64,
 }
 
 struct OnTrial {
@@ -256,19 +288,23 @@ impl LiveModels {
 
     fn new(source: Source, start: Start, config: &Config) -> Self {
         let limits = config.models.trial_limits();
-        let Start { on_trial, resident, .. } = start;
+        let Start { on_trial, resident, compared_with: digest, counts, .. } = start;
+        let resident_counts = counts.of_resident(digest.as_deref());
         Self {
             source,
             lidar: setup::lidar_view(config),
             trial: on_trial.map(|digest| OnTrial {
-                trial: Trial::new(limits, TrialCounts::default()),
+                trial: Trial::new(limits, resident_counts, counts.of_trial(&digest)),
                 digest,
                 resident,
             }),
             limits,
-            resident: TrialCounts::default(),
+            resident: Counted { digest, counts: resident_counts },
             next_poll_ns: 0,
             last: None,
+            camera: config.camera.model(),
+            unsaved: 0,
+            ran: 0,
         }
     }
 
@@ -292,14 +328,28 @@ impl LiveModels {
                 let old = robot.set_network(*network);
                 // If the old model was on trial, the one before it stays the one to go back to.
                 let resident = self.trial.take().map_or(old, |trial| trial.resident);
-                let trial = Trial::new(self.limits, self.resident);
-                self.trial = on_trial.then_some(OnTrial { trial, digest, resident });
+                self.ran = 0;
+                if on_trial {
+                    let resident_counts = self.resident.counts;
+                    let trial = Trial::new(self.limits, resident_counts, TrialCounts::default());
+                    self.trial = Some(OnTrial { trial, digest, resident });
+                } else {
+                    self.uses_without_trial(Some(digest));
+                }
             }
             Some(Swap::ToNone) => {
                 self.trial = None;
                 robot.remove_network();
+                self.uses_without_trial(None);
             }
             None => {}
+        }
+    }
+
+    /// Begins to count for a model that needs no trial, unless that was done already.
+    fn uses_without_trial(&mut self, digest: Option<String>) {
+        if self.resident.digest != digest {
+            self.resident = Counted { digest, counts: TrialCounts::default() };
         }
     }
 
@@ -315,10 +365,34 @@ impl LiveModels {
         if input.frame.is_none() {
             return;
         }
+        let tick = self.tick(robot, input, decision, late);
+        match &mut self.trial {
+            None => self.resident.counts.remember(&tick, REMEMBERED_TICKS),
+            Some(on_trial) => {
+                if let TrialState::Ended(verdict) = on_trial.trial.observe(&tick) {
+                    self.end_trial(robot, verdict.keeps(), &verdict.to_string());
+                    self.save();
+                }
+            }
+        }
+        self.count_survival();
+        self.unsaved += 1;
+        if self.unsaved >= SAVED_EVERY_TICKS {
+            self.save();
+        }
+    }
+
+    /// What the trial needs to know about a tick.
+    fn tick(
+        &mut self,
+        robot: &Robot,
+        input: &TickInput<'_>,
+        decision: &Decision,
+        overrun: bool,
+    ) -> TrialTick {
         let pose = decision.t_odom_base;
         // A larger step means that odometry was reset.
         let moved_m = self.last.replace(pose).map_or(0.0, |last| last.distance_m(&pose));
-        let moved_m = if moved_m < 0.5 { moved_m } else { 0.0 };
         let bad_output = decision
             .events
             .iter()
@@ -328,31 +402,48 @@ impl LiveModels {
             .iter()
             .filter(|event| matches!(event, Event::Safety { what: SafetyEvent::Tripped { .. } }))
             .count() as u64;
-        let tick = TrialTick {
-            overrun: late,
+        let depth = robot.mapped_depth();
+        let line = self.lidar.of_tick(input);
+        TrialTick {
+            overrun,
             bad_output,
             trips,
-            moved_m,
-            delta1: robot
-                .mapped_depth()
-                .and_then(|estimate| lidar_score(estimate, &self.lidar.of_tick(input)))
+            moving: !input.safety.in_charge && decision.sent.is_some_and(is_motion),
+            moved_m: if moved_m < 0.5 { moved_m } else { 0.0 },
+            delta1: depth
+                .and_then(|estimate| lidar_score(estimate, &line))
                 .map(|score| score.delta1),
-        };
-        match &mut self.trial {
-            None => self.resident.remember(&tick, REMEMBERED_TICKS),
-            Some(on_trial) => {
-                if let TrialState::Ended(verdict) = on_trial.trial.observe(&tick) {
-                    self.end_trial(robot, verdict.keeps(), &verdict.to_string());
-                }
-            }
+            lost_near: depth
+                .zip(robot.coarse_depth())
+                .and_then(|(estimate, coarse)| band_scores(estimate, coarse, &self.camera).near)
+                .map(|near| near.lost),
         }
+    }
+
+    /// After as many ticks as a trial has at least, the program has survived the model.
+    fn count_survival(&mut self) {
+        self.ran += 1;
+        if self.ran == self.limits.ticks
+            && let Some(digest) = self.on_trial().map(str::to_owned)
+        {
+            self.request(Request::Survived { digest });
+        }
+    }
+
+    fn save(&mut self) {
+        self.unsaved = 0;
+        let trial = self.trial.as_ref().map(|on_trial| Counted {
+            digest: Some(on_trial.digest.clone()),
+            counts: *on_trial.trial.counts(),
+        });
+        self.request(Request::Save(SavedCounts { resident: self.resident.clone(), trial }));
     }
 
     fn end_trial(&mut self, robot: &mut Robot, keeps: bool, why: &str) {
         let Some(OnTrial { trial, digest, resident }) = self.trial.take() else { return };
         tracing::warn!("the model {digest}: {why}");
         if keeps {
-            self.resident = *trial.counts();
+            self.resident = Counted { digest: Some(digest.clone()), counts: *trial.counts() };
             return self.request(Request::Keep { digest, why: why.to_owned() });
         }
         let drives = resident.as_ref().map(|resident| resident.digest().to_owned());
@@ -369,18 +460,11 @@ impl LiveModels {
             Source::Thread { requests, .. } => {
                 if requests.try_send(request).is_err() {
                     tracing::error!(
-                        "the thread of the model store does not respond; the model is on trial again at the \
-                         next start"
+                        "the thread of the model store does not respond; what the trial has found is not saved"
                     );
                 }
             }
         }
-    }
-
-    /// The counts of the network in use.
-    #[must_use]
-    pub fn counts(&self) -> &TrialCounts {
-        self.trial.as_ref().map_or(&self.resident, |on_trial| on_trial.trial.counts())
     }
 
     /// Digest of the model that is on trial.
@@ -388,6 +472,19 @@ impl LiveModels {
     pub fn on_trial(&self) -> Option<&str> {
         self.trial.as_ref().map(|on_trial| on_trial.digest.as_str())
     }
+}
+
+impl Drop for LiveModels {
+    fn drop(&mut self) {
+        if self.unsaved > 0 {
+            self.save();
+        }
+    }
+}
+
+/// Whether a command moves the robot.
+fn is_motion(command: Command) -> bool {
+    command.linear_mps != 0.0 || command.angular_radps != 0.0
 }
 
 /// The thread that owns the keeper. It ends when the control loop drops its end of the channels.

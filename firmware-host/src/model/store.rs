@@ -4,6 +4,7 @@
 //! current                the installed models, newest first, and whether the newest is on trial
 //! models/DIGEST.onnx     a model, named by its BLAKE3 digest, so that damage is detected
 //! models/DIGEST.minisig  its signature
+//! counts.json            what trial and resident model have counted so far
 //! history.json           what happened to every model that was ever offered
 //! lock                   locked during each change
 //! ```
@@ -19,14 +20,15 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::counts::SavedCounts;
 use super::disk::{PARTIAL, RealDisk, StoreDisk, replace};
 use super::error::StoreError;
 use super::history::{Entry, History, What};
 
 /// Number of models that are kept, including the current one.
 const KEPT: usize = 4;
-/// A model is rolled back if the robot was started this number of times with it without the trial
-/// ending: the model may crash the program.
+/// A model on trial is rolled back if the robot was started this number of times with it and never
+/// ran for long: the model may crash the program.
 pub const MOST_TRIAL_STARTS: u32 = 3;
 
 /// The installed models; the content of the file `current`.
@@ -35,7 +37,8 @@ pub const MOST_TRIAL_STARTS: u32 = 3;
 pub struct State {
     /// BLAKE3 digests, newest first. The robot uses the first one.
     pub models: Vec<String>,
-    /// While the first model is on trial: how many times the robot was started with it.
+    /// While the first model is on trial: how many times the robot was started with it since it last
+    /// ran for long enough.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trial_starts: Option<u32>,
 }
@@ -257,8 +260,8 @@ impl Store {
         Ok(())
     }
 
-    /// Counts a start of the robot and returns the state that it starts with. A model whose trial
-    /// did not end within [`MOST_TRIAL_STARTS`] starts is rolled back.
+    /// Counts a start of the robot and returns the state that it starts with. A model on trial that
+    /// did not run for long within [`MOST_TRIAL_STARTS`] starts is rolled back.
     ///
     /// # Errors
     /// If the disk fails or the state is damaged.
@@ -267,7 +270,7 @@ impl Store {
         let state = self.state()?;
         match state.trial_starts {
             Some(starts) if starts >= MOST_TRIAL_STARTS => self.go_back(&format!(
-                "rolled back: the robot was started {starts} times with it, but its trial never ended"
+                "rolled back: the robot was started {starts} times with it and never ran for long"
             )),
             Some(starts) => {
                 let state = State { trial_starts: Some(starts + 1), ..state };
@@ -276,6 +279,42 @@ impl Store {
             }
             None => Ok(state),
         }
+    }
+
+    /// Forgets the starts that were counted: the model `digest`, which is on trial, has run for long
+    /// enough not to be the cause of crashes. Does nothing if another model is the current one.
+    ///
+    /// # Errors
+    /// If the disk fails.
+    pub fn survived(&mut self, digest: &str) -> Result<(), StoreError> {
+        let _lock = self.lock()?;
+        let state = self.state()?;
+        if state.current() != Some(digest) || state.trial_starts.is_none() {
+            return Ok(());
+        }
+        self.set(&State { trial_starts: Some(0), ..state })
+    }
+
+    /// What trial and resident model have counted. An unreadable file is treated as empty: the trial
+    /// begins again then, with the absolute limits only.
+    #[must_use]
+    pub fn counts(&self) -> SavedCounts {
+        let text = fs::read_to_string(self.counts_path()).unwrap_or_default();
+        serde_json::from_str(&text).unwrap_or_default()
+    }
+
+    /// Replaces the counts.
+    ///
+    /// # Errors
+    /// If the disk fails; the old counts are valid then.
+    pub fn save_counts(&mut self, counts: &SavedCounts) -> Result<(), StoreError> {
+        let _lock = self.lock()?;
+        let bytes = serde_json::to_vec(counts).unwrap_or_default();
+        self.put(&self.counts_path(), &bytes)
+    }
+
+    fn counts_path(&self) -> PathBuf {
+        self.dir.join("counts.json")
     }
 
     /// Adds an entry to the history. An error is only logged, because the history is not essential.

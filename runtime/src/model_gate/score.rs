@@ -4,7 +4,7 @@
 use hal::CameraModel;
 use serde::{Deserialize, Serialize};
 
-use super::{LidarPixel, Photometric, Source};
+use super::{BandScores, LidarPixel, Photometric, Source, band_scores};
 use crate::perception::DepthEstimate;
 
 /// Edges of the parallax bins, in pixels. Frames are compared separately by the parallax between a
@@ -40,6 +40,9 @@ pub struct FrameScore {
     pub unmoved: Option<f64>,
     /// Agreement with the LiDAR; absent if the LiDAR measures no pixel of the frame.
     pub line: Option<LidarScore>,
+    /// Agreement with coarse depth, by range.
+    #[serde(default)]
+    pub ranges: BandScores,
 }
 
 /// Parallax between a frame and its farthest source for a point 2.5 m away, pixels.
@@ -72,11 +75,12 @@ impl Scorer {
         Self { photometric: Photometric::new(camera), camera: *camera }
     }
 
-    /// Scores the depth of the frame `rgb`.
+    /// Scores the depth of the frame `rgb`, whose coarse depth is `coarse`.
     pub fn score(
         &mut self,
         rgb: &[u8],
         estimate: &DepthEstimate,
+        coarse: Option<&DepthEstimate>,
         sources: &[Source<'_>],
         line: &[LidarPixel],
     ) -> FrameScore {
@@ -85,6 +89,9 @@ impl Scorer {
             photometric: errors.map(|(warped, _)| warped),
             unmoved: errors.map(|(_, unmoved)| unmoved),
             line: lidar_score(estimate, line),
+            ranges: coarse
+                .map(|coarse| band_scores(estimate, coarse, &self.camera))
+                .unwrap_or_default(),
         }
     }
 

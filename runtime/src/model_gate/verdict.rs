@@ -2,9 +2,11 @@
 //! comparison, it is fast enough, and it is shown to be as good as the resident model on every
 //! measure.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
-use super::{FrameScore, Paired, PoseBin, compare, parallax_bin};
+use super::{BAND_NAMES, BandScore, FrameScore, Paired, PoseBin, compare, parallax_bin};
 
 /// Limits of the gate. The operator may make them stricter than the defaults, but not looser.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -24,11 +26,17 @@ pub struct GateLimits {
     pub brier_margin: f64,
     /// Without a resident model: the minimum share of right depths against the LiDAR.
     pub least_delta1: f64,
+    /// Maximum share of the obstacles that coarse depth sees and the candidate loses, as the mean over the frames
+    /// of each range nearer than 2 m and of the corridor ahead. It does not depend on the resident, so that no
+    /// sequence of models slides away from it.
+    pub lost_near: f64,
+    /// The same as the mean over the frames of the worst place.
+    pub lost_at_a_place: f64,
     /// Maximum of the 99th percentile of one inference, milliseconds.
     pub p99_ms: f64,
     /// A candidate that is slower than `p99_ms` is still accepted if its 99th percentile is at most
-    /// this factor of the resident's, because the robot already runs with that one. Both are
-    /// measured alternately in the same process.
+    /// this factor of the resident's, because the robot already runs with that one, and at most twice
+    /// `p99_ms`. Both are measured alternately in the same process.
     pub p99_over_resident: f64,
 }
 
@@ -42,6 +50,8 @@ impl Default for GateLimits {
             delta1_margin: 0.03,
             brier_margin: 0.03,
             least_delta1: 0.3,
+            lost_near: 0.05,
+            lost_at_a_place: 0.25,
             p99_ms: 60.0,
             p99_over_resident: 1.1,
         }
@@ -186,6 +196,12 @@ pub enum RefusalReason {
         "only {delta1:.3} of its depths are right against the LiDAR, minimum: {least:.3}; check units and camera height"
     )]
     NotMetric { delta1: f64, least: f64 },
+    /// Obstacles near the robot, which coarse depth sees, are lost: the map would clear them.
+    #[error(
+        "it loses {lost:.3} of the obstacles {what}{}, allowed: {most:.3}; the map would clear what stands there. Train it on more near views",
+        if *at_a_place { " at one place" } else { "" }
+    )]
+    LosesNear { what: NearRange, at_a_place: bool, lost: f64, most: f64 },
     /// The candidate is shown to be worse than the resident model by this measure.
     #[error(
         "worse than the resident model: {} is {:.4}, the resident's {:.4}; the difference is {:.4} to {:.4} (90 %) over {} frames of {} places, allowed: {margin:.4}; train it on more of this robot's recordings",
@@ -218,6 +234,57 @@ pub struct Verdict {
     pub places: usize,
     /// Mean share of right depths against the LiDAR.
     pub delta1: Option<f64>,
+    /// How many obstacles are lost near the robot, with coarse depth as evidence.
+    #[serde(default)]
+    pub near: Vec<NearEvidence>,
+}
+
+/// Where an obstacle is near.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NearRange {
+    /// Between 0.3 and 1 m.
+    First,
+    /// Between 1 and 2 m.
+    Second,
+    /// Nearer than 2 m in the corridor that the robot sweeps.
+    Corridor,
+}
+
+impl NearRange {
+    /// Every one.
+    pub const ALL: [Self; 3] = [Self::First, Self::Second, Self::Corridor];
+
+    fn of(self, score: &FrameScore) -> Option<BandScore> {
+        match self {
+            Self::First => score.ranges.bands[0],
+            Self::Second => score.ranges.bands[1],
+            Self::Corridor => score.ranges.corridor,
+        }
+    }
+}
+
+impl std::fmt::Display for NearRange {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::First => write!(f, "at {}", BAND_NAMES[0]),
+            Self::Second => write!(f, "at {}", BAND_NAMES[1]),
+            Self::Corridor => f.write_str("in the corridor ahead up to 2 m"),
+        }
+    }
+}
+
+/// What the held-out frames say about obstacles in one range.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct NearEvidence {
+    /// The range.
+    pub what: NearRange,
+    /// Number of frames with enough coarse depth in this range.
+    pub frames: usize,
+    /// Mean share of lost obstacles over these frames; `None` when there are too few: nothing can be said.
+    pub lost: Option<f64>,
+    /// The largest mean over the frames of one place; `None` without a place with enough frames.
+    pub worst_place: Option<f64>,
 }
 
 impl Verdict {
@@ -260,10 +327,50 @@ pub fn judge(
         });
     }
     let delta1 = mean_of(frames, |score| Some(score.line?.delta1));
+    let near = NearRange::ALL.map(|what| near_evidence(frames, what)).to_vec();
+    refused.extend(near.iter().flat_map(|evidence| loses_near(evidence, limits)));
     refused.extend(implausible(frames, delta1.filter(|_| !has_resident), limits));
     refused.extend(compared.iter().filter_map(|(measure, paired)| worse(*measure, paired, limits)));
     refused.extend(too_slow(examination, limits));
-    Verdict { refused, compared, frames: count, places, delta1 }
+    Verdict { refused, compared, frames: count, places, delta1, near }
+}
+
+/// Frames with near coarse depth from which on a range is judged.
+const LEAST_NEAR_FRAMES: usize = 5;
+/// Frames of one place from which on it counts by itself.
+const LEAST_PLACE_FRAMES: usize = 3;
+
+fn near_evidence(frames: &[ScoredFrame], what: NearRange) -> NearEvidence {
+    let mut lost: BTreeMap<PoseBin, Vec<f64>> = BTreeMap::new();
+    for frame in frames {
+        if let Some(score) = frame.candidate.as_ref().and_then(|score| what.of(score)) {
+            lost.entry(frame.bin).or_default().push(score.lost);
+        }
+    }
+    let all: Vec<f64> = lost.values().flatten().copied().collect();
+    let places = lost.values().filter(|values| values.len() >= LEAST_PLACE_FRAMES);
+    NearEvidence {
+        what,
+        frames: all.len(),
+        lost: (all.len() >= LEAST_NEAR_FRAMES).then(|| mean(&all)),
+        worst_place: places.map(|values| mean(values)).max_by(f64::total_cmp),
+    }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+fn loses_near(evidence: &NearEvidence, limits: &GateLimits) -> Vec<RefusalReason> {
+    let NearEvidence { what, lost, worst_place, .. } = *evidence;
+    let judged = [(lost, limits.lost_near, false), (worst_place, limits.lost_at_a_place, true)];
+    let too_many = judged.into_iter().filter_map(|(lost, most, at_a_place)| {
+        let lost = lost?;
+        // NaN fails this comparison and is refused.
+        let few = lost <= most;
+        (!few).then_some(RefusalReason::LosesNear { what, at_a_place, lost, most })
+    });
+    too_many.collect()
 }
 
 fn mean_of(frames: &[ScoredFrame], value: impl Fn(&FrameScore) -> Option<f64>) -> Option<f64> {
@@ -328,10 +435,15 @@ fn worse(measure: Measure, paired: &Paired, limits: &GateLimits) -> Option<Refus
     }
 }
 
+/// However slow the resident is, a candidate may take at most this many times the limit: with a factor of the
+/// resident's time alone, a sequence of models could become slower without end.
+const MOST_SLOWER: f64 = 2.0;
+
 fn too_slow(examination: &Examination, limits: &GateLimits) -> Option<RefusalReason> {
     let resident_limit_ms = examination
         .resident_latency
-        .map_or(0.0, |latency| latency.p99_ms * limits.p99_over_resident);
+        .map_or(0.0, |latency| latency.p99_ms * limits.p99_over_resident)
+        .min(MOST_SLOWER * limits.p99_ms);
     let most_ms = limits.p99_ms.max(resident_limit_ms);
     let p99_ms = examination.latency.p99_ms;
     // NaN fails this comparison and is refused.
@@ -341,7 +453,7 @@ fn too_slow(examination: &Examination, limits: &GateLimits) -> Option<RefusalRea
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model_gate::LidarScore;
+    use crate::model_gate::{BandScores, LidarScore};
 
     /// The score of a model whose errors are those of an average model times `factor`.
     fn score(factor: f64, noise: f64) -> FrameScore {
@@ -354,6 +466,7 @@ mod tests {
                 delta1: 1.0 - 0.15 * factor - noise,
                 brier: 0.1 * factor,
             }),
+            ranges: BandScores::default(),
         }
     }
 
@@ -501,6 +614,77 @@ mod tests {
         assert_eq!(why(&examination, true), []);
         examination.latency.p99_ms = f64::NAN;
         assert!(!why(&examination, true).is_empty());
+    }
+
+    /// Ten places, 60 frames, with near obstacles of which these shares are lost at each place.
+    fn with_lost(lost: impl Fn(i64) -> f64) -> Examination {
+        let mut examination = scored(0.7, Some(1.0));
+        for frame in &mut examination.frames {
+            let band = BandScore { pixels: 100, wrong: 0.1, lost: lost(frame.bin.x) };
+            let ranges = &mut frame.candidate.as_mut().unwrap().ranges;
+            ranges.bands[1] = Some(band);
+            ranges.corridor = Some(band);
+        }
+        examination
+    }
+
+    #[test]
+    fn a_model_that_loses_near_obstacles_is_refused_however_good_it_is_otherwise() {
+        assert_eq!(why(&with_lost(|_| 0.04), true), []);
+        let refused = why(&with_lost(|_| 0.06), true);
+        assert!(
+            matches!(
+                refused[..],
+                [
+                    RefusalReason::LosesNear { what: NearRange::Second, at_a_place: false, .. },
+                    RefusalReason::LosesNear { what: NearRange::Corridor, at_a_place: false, .. }
+                ]
+            ),
+            "{refused:?}"
+        );
+        assert!(refused[0].to_string().contains("loses 0.060 of the obstacles at 1 to 2 m"));
+        assert!(!why(&with_lost(|_| f64::NAN), true).is_empty());
+    }
+
+    #[test]
+    fn a_model_that_fails_at_one_place_of_ten_is_refused_although_its_mean_is_low() {
+        let refused = why(&with_lost(|place| if place == 3 { 0.4 } else { 0.0 }), true);
+        assert!(
+            refused
+                .iter()
+                .all(|why| matches!(why, RefusalReason::LosesNear { at_a_place: true, .. })),
+            "{refused:?}"
+        );
+        assert!(refused[0].to_string().contains("at one place"), "{}", refused[0]);
+    }
+
+    #[test]
+    fn a_range_without_evidence_is_named_and_not_judged() {
+        let verdict = judge(&with_lost(|_| 0.0), true, false, &GateLimits::default());
+        let lost: Vec<_> =
+            verdict.near.iter().map(|evidence| (evidence.frames, evidence.lost)).collect();
+        assert_eq!(lost, [(0, None), (60, Some(0.0)), (60, Some(0.0))]);
+    }
+
+    #[test]
+    fn the_limit_of_lost_obstacles_does_not_slide_with_the_resident() {
+        // The resident loses as many.
+        let mut examination = with_lost(|_| 0.06);
+        for frame in &mut examination.frames {
+            frame.resident = frame.candidate;
+        }
+        assert_eq!(why(&examination, true).len(), 2);
+    }
+
+    #[test]
+    fn a_sequence_of_slow_models_ends_at_twice_the_limit() {
+        let mut examination = scored(1.0, Some(1.0));
+        examination.latency.p99_ms = 125.0;
+        examination.resident_latency.as_mut().unwrap().p99_ms = 119.0;
+        assert_eq!(
+            why(&examination, true),
+            [RefusalReason::TooSlow { p99_ms: 125.0, most_ms: 120.0 }]
+        );
     }
 
     #[test]
