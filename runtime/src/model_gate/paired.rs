@@ -65,8 +65,7 @@ pub fn compare(errors: &[(PoseBin, f64, f64)]) -> Option<Paired> {
 /// The 95 % quantile of Student's t with this number of degrees of freedom: from a table up to eight, and by the expansion of
 /// Cornish and Fisher beyond (Abramowitz and Stegun 26.7.5; off by less than 0.002).
 fn t_quantile(freedom: usize) -> f64 {
-    const TABLE: [f64; 9] =
-        [f64::INFINITY, 6.314, 2.920, 2.353, 2.132, 2.015, 1.943, 1.895, 1.860];
+    const TABLE: [f64; 9] = [f64::INFINITY, 6.314, 2.920, 2.353, 2.132, 2.015, 1.943, 1.895, 1.860];
     /// The quantile of the normal distribution.
     const NORMAL: f64 = 1.644_854;
     TABLE.get(freedom).copied().unwrap_or_else(|| {
