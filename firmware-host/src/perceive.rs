@@ -163,7 +163,7 @@ impl Evaluator {
         let has_image = coarse.map_or_else(NoDepth::has_image, |_| true);
         let has_coarse = coarse.is_ok();
         if has_image {
-            self.dense.complete(&self.coarse, &Pose2::IDENTITY, 0);
+            self.dense.complete(&self.coarse, &Pose2::IDENTITY, Some(0));
         }
         self.stopwatch.lap(Stage::Dense);
         let coarse = has_coarse.then(|| self.coarse.last());

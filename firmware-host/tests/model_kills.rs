@@ -12,7 +12,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use firmware_host::model::{History, State};
+use firmware_host::model::{History, SavedCounts, State};
 use hil::kills::{self, KillSchedule};
 use robot::{Robot, binary, run};
 
@@ -29,9 +29,13 @@ fn valid_state(robot: &Robot) -> State {
     if let Ok(history) = std::fs::read(robot.path("store/history.json")) {
         serde_json::from_slice::<History>(&history).unwrap();
     }
+    if let Ok(counts) = std::fs::read(robot.path("store/counts.json")) {
+        serde_json::from_slice::<SavedCounts>(&counts).unwrap();
+    }
+    let files = ["current", "models", "counts.json", "history.json", "lock"];
     for entry in std::fs::read_dir(robot.path("store")).unwrap() {
         let name = entry.unwrap().file_name().into_string().unwrap();
-        let known = ["current", "models", "history.json", "lock"].contains(&name.as_str());
+        let known = files.contains(&name.as_str());
         assert!(known || name.ends_with(".partial"), "{name} is left over");
     }
     state

@@ -99,16 +99,19 @@ impl DenseDepth {
     }
 
     /// Completes the last frame of `coarse`, which must have been a frame with texture. `section` is the section of the path that
-    /// the robot is in; a closed loop moves what was seen in a section together ([`correct`](Self::correct)).
-    pub fn complete(&mut self, coarse: &CoarseDepth, t_map_odom: &Pose2, section: u16) {
+    /// the robot is in; a closed loop moves what was seen in a section together ([`correct`](Self::correct)). `None`: the robot
+    /// doubts its pose, and nothing is learnt.
+    pub fn complete(&mut self, coarse: &CoarseDepth, t_map_odom: &Pose2, section: Option<u16>) {
         rayon::scope(|_| self.complete_in_pool(&coarse.seen(), t_map_odom, section));
     }
 
-    fn complete_in_pool(&mut self, seen: &SeenCells<'_>, t_map_odom: &Pose2, section: u16) {
+    fn complete_in_pool(&mut self, seen: &SeenCells<'_>, t_map_odom: &Pose2, section: Option<u16>) {
         let t_map_camera = t_map_odom.to_pose3() * seen.pose;
         self.choose(seen, &t_map_camera);
         self.fill_holes(seen);
-        self.learn(seen, t_map_camera, section);
+        if let Some(section) = section {
+            self.learn(seen, t_map_camera, section);
+        }
         let cells = Cells {
             width: self.cells.width,
             beliefs: &self.joined,
@@ -249,13 +252,14 @@ mod tests {
     struct Robot {
         coarse: CoarseDepth,
         dense: DenseDepth,
+        section: Option<u16>,
     }
 
     impl Robot {
         fn new() -> Self {
             let coarse = CoarseDepth::new(CoarseConfig::default(), camera()).unwrap();
             let dense = DenseDepth::new(DenseConfig::default(), &camera(), &coarse, None);
-            Self { coarse, dense }
+            Self { coarse, dense, section: Some(0) }
         }
 
         /// Whether the frame had coarse depth.
@@ -263,7 +267,7 @@ mod tests {
             let image = render(&camera(), at, 1.0, 0.0);
             let frame = ImageView::new(320, 96, PixelFormat::Gray8, &image).unwrap();
             let has_coarse = self.coarse.estimate(frame, at).is_ok();
-            self.dense.complete(&self.coarse, &Pose2::IDENTITY, 0);
+            self.dense.complete(&self.coarse, &Pose2::IDENTITY, self.section);
             has_coarse
         }
 
@@ -312,6 +316,15 @@ mod tests {
         assert!(recalled * 2 > sources.len(), "{recalled}");
         let right = robot.right(&at(0.0));
         assert!(right > 0.95, "{right}");
+    }
+
+    #[test]
+    fn a_robot_that_doubts_its_pose_learns_nothing() {
+        let mut robot = Robot::new();
+        robot.section = None;
+        drive(&mut robot);
+        let recalled = robot.dense.candidates().filter(|cell| cell.recalled.2 > 0.0).count();
+        assert_eq!(recalled, 0);
     }
 
     #[test]

@@ -439,7 +439,9 @@ impl Robot {
         let has_image = coarse.map_or_else(NoDepth::has_image, |()| true);
         let completes = has_image && self.config.dense.enabled;
         if completes {
-            self.dense.complete(&self.coarse, &self.poses.t_map_odom, self.map.section());
+            let is_sure = self.whereabouts == Whereabouts::Localized;
+            let section = is_sure.then(|| self.map.section());
+            self.dense.complete(&self.coarse, &self.poses.t_map_odom, section);
         }
         completes
     }

@@ -80,7 +80,7 @@ fn samples<const N: usize>(
         if engine.estimate(frame, &pose).is_err_and(|why| !why.has_image()) {
             continue;
         }
-        dense.complete(&engine, &Pose2::IDENTITY, 0);
+        dense.complete(&engine, &Pose2::IDENTITY, Some(0));
         let Some(truth) = &view.truth else { continue };
         // Neighbouring cells are correlated: every seventeenth is enough.
         for (cell, candidates) in dense.candidates().enumerate().skip(index % 17).step_by(17) {

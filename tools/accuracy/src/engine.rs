@@ -100,7 +100,7 @@ impl Engine for Dense {
     ) -> Result<Option<DepthEstimate>> {
         match self.coarse.estimate(frame, pose) {
             Err(why) if !why.has_image() => return Ok(None),
-            _ => self.dense.complete(&self.coarse, &Pose2::IDENTITY, 0),
+            _ => self.dense.complete(&self.coarse, &Pose2::IDENTITY, Some(0)),
         }
         Ok(Some(self.dense.last().clone()))
     }

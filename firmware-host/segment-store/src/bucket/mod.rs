@@ -32,8 +32,9 @@ use crate::source::Source;
 use crate::wire::{Refusal, RefusalKind};
 use crate::{Catalogue, Digest, Entry, FileSink, LocalCopy, Name, PULLED, Pulled, StoreError};
 
-/// No fleet has more objects under one prefix. Without a limit a wrong bucket could fill the memory.
-const MAX_OBJECTS: usize = 400_000;
+/// More objects of segments than this under one prefix are refused, because their names would fill the memory: 5 years of one
+/// robot have 10 million objects, and its oldest runs belong under another prefix by then.
+const MOST_OBJECTS: usize = 10_000_000;
 
 /// This many segments are inspected at the same time.
 const PARALLEL_INSPECTIONS: usize = 32;
@@ -96,16 +97,26 @@ impl Bucket {
         name.split('/').fold(self.prefix.clone(), Path::join)
     }
 
-    /// Lists all objects, by their path below the prefix.
-    fn list_objects(&self) -> Result<BTreeMap<String, ObjectVersion>, Error> {
-        let listing = self.store.list(Some(&self.prefix)).take(MAX_OBJECTS).try_collect::<Vec<_>>();
-        let objects = self.runtime.block_on(listing)?;
-        Ok(objects
-            .into_iter()
-            .filter_map(|object| {
-                Some((self.below_prefix(&object.location)?, ObjectVersion::new(object)))
-            })
-            .collect())
+    /// Lists the objects of segments, by their path below the prefix. Other objects are passed over.
+    fn list_objects(&self) -> Result<BTreeMap<String, ObjectVersion>, StoreError> {
+        let mut objects = BTreeMap::new();
+        let mut listing = self.store.list(Some(&self.prefix));
+        self.runtime.block_on(async {
+            while let Some(object) =
+                listing.try_next().await.map_err(|error| self.explain(&error, "list"))?
+            {
+                let path = self.below_prefix(&object.location).filter(|path| is_of_segment(path));
+                let Some(path) = path else { continue };
+                if objects.len() == MOST_OBJECTS {
+                    return Err(StoreError::ObjectStore {
+                        url: self.url.clone(),
+                        detail: too_many(),
+                    });
+                }
+                objects.insert(path, ObjectVersion::new(object));
+            }
+            Ok(objects)
+        })
     }
 
     fn below_prefix(&self, path: &Path) -> Option<String> {
@@ -125,9 +136,21 @@ impl Bucket {
     }
 }
 
+/// Whether an object is a segment, or its digest or a marker beside it.
+fn is_of_segment(path: &str) -> bool {
+    let is_segment = |path: &str| Name::parse(path).is_ok();
+    is_segment(path) || path.rsplit_once('.').is_some_and(|(segment, _)| is_segment(segment))
+}
+
+fn too_many() -> String {
+    format!(
+        "there are more than {MOST_OBJECTS} objects of segments under this prefix; give the prefix of one robot, or move old runs elsewhere"
+    )
+}
+
 impl Source for Bucket {
     fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
-        let objects = self.list_objects().map_err(|error| self.explain(&error, "list"))?;
+        let objects = self.list_objects()?;
         let mut known = std::mem::take(&mut self.inspected);
         let mut new = Vec::new();
         for (text, version) in &objects {

@@ -326,6 +326,19 @@ fn a_marker_is_written_only_for_the_version_that_was_read() {
 }
 
 #[test]
+fn a_segment_behind_half_a_million_objects_is_listed() {
+    let fleet = Fleet::in_memory();
+    for run in 0..500_000 {
+        fleet.put(&format!("a{run}/recording_0000.mcap.keep"), b"");
+    }
+    fleet.put("notes/readme.txt", b"not a segment");
+    fleet.put("zoo/recording_0000.mcap", &segment(5, SMALL, 100));
+    let listed: Vec<String> =
+        fleet.bucket().list().unwrap().iter().map(|entry| entry.name.to_string()).collect();
+    assert_eq!(listed, ["zoo/recording_0000.mcap"]);
+}
+
+#[test]
 fn an_empty_prefix_is_an_empty_store() {
     let bucket = segment_store::bucket::Bucket::from_store(
         Arc::new(InMemory::new()),
