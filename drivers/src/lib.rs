@@ -25,5 +25,7 @@ pub mod scip;
 pub mod status;
 pub mod v4l2;
 
-pub use scanner::{FixedFramer, Identity, LidarMonitor, Port, PortError};
+pub use scanner::{
+    BlindError, FixedFramer, Identity, LidarMonitor, LinkError, PollError, Port, PortError,
+};
 pub use status::{DeviceState, DeviceStatus};

@@ -2,91 +2,40 @@
 //! or TCP port of a simulated scanner, in real time; time limits have a margin for busy computers.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its fixture has failed")]
 
+mod scanner_bench;
+
 use std::net::{Ipv4Addr, SocketAddr};
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
 use drivers::DeviceState;
-use drivers::hokuyo::{HokuyoConfig, HokuyoError, HokuyoLidar, Port};
+use drivers::hokuyo::{HokuyoConfig, HokuyoLidar, Port};
 use drivers::scip::Model;
-use hal::{Clock, Error, ErrorKind, LaserScan, Lidar};
+use hal::{Clock, Error, ErrorKind, LaserScan};
 use hil::hokuyo::{Health, Room, ScanSource, SimulatedHokuyo, WireFaults};
 use monotonic_clock::MonotonicClock;
 use monotonic_clock::monotonic_ns;
+use scanner_bench::{Bench, MS, TIMEOUT_NS, stable_path};
 
-const MS: u64 = 1_000_000;
-/// Bring-up takes 50 ms. A computer that is busy with other tests may need longer.
-const TIMEOUT_NS: u64 = 10_000 * MS;
+type HokuyoBench = Bench<SimulatedHokuyo, HokuyoLidar>;
 
-/// A simulated scanner on a pty, and its driver.
-struct Bench {
-    device: SimulatedHokuyo,
-    lidar: HokuyoLidar,
-    scan: LaserScan,
-    _folder: tempfile::TempDir,
+fn bench(model: Model) -> HokuyoBench {
+    bench_with(model, Box::new(Room::new(model)), |config| config, |_| {})
 }
 
-/// Folder and path for a scanner's symbolic link.
-fn stable_path() -> (tempfile::TempDir, PathBuf) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("usb-Hokuyo");
-    (folder, path)
-}
-
-impl Bench {
-    fn new(model: Model) -> Self {
-        Self::with(model, Box::new(Room::new(model)), |config| config, |_| {})
-    }
-
-    fn with(
-        model: Model,
-        source: Box<dyn ScanSource>,
-        configure: impl Fn(HokuyoConfig) -> HokuyoConfig,
-        prepare: impl Fn(&SimulatedHokuyo),
-    ) -> Self {
-        let (folder, path) = stable_path();
-        let device = SimulatedHokuyo::on_pty(model, &path, source).unwrap();
-        prepare(&device);
-        let config = configure(HokuyoConfig { model, ..HokuyoConfig::new(Port::Serial(path)) });
-        let lidar = HokuyoLidar::open(config).unwrap();
-        let scan = LaserScan::empty(lidar.geometry());
-        Self { device, lidar, scan, _folder: folder }
-    }
-
-    fn poll(&mut self) -> Result<bool, HokuyoError> {
-        MonotonicClock.sleep_until_ns(monotonic_ns() + MS);
-        self.lidar.poll_scan(&mut self.scan)
-    }
-
-    fn until(&mut self, what: &str, mut condition: impl FnMut(&Result<bool, HokuyoError>) -> bool) {
-        let deadline_ns = monotonic_ns() + TIMEOUT_NS;
-        while !condition(&self.poll()) {
-            let monitor = self.lidar.monitor();
-            let status = monitor.status();
-            let problem = monitor.problem();
-            assert!(
-                monotonic_ns() < deadline_ns,
-                "timed out waiting for {what}: {status:?}, {problem:?}"
-            );
-        }
-    }
-
-    fn until_scan(&mut self) {
-        self.until("a scan", |polled| matches!(polled, Ok(true)));
-    }
-
-    fn until_error(&mut self, kind: ErrorKind) {
-        self.until(&format!("{kind:?}"), |polled| {
-            polled.as_ref().is_err_and(|error| error.kind() == kind)
-        });
-    }
-
-    fn until_problem(&mut self, word: &str) -> String {
-        let monitor = self.lidar.monitor();
-        self.until(word, |_| monitor.problem().is_some_and(|problem| problem.contains(word)));
-        monitor.problem().unwrap()
-    }
+fn bench_with(
+    model: Model,
+    source: Box<dyn ScanSource>,
+    configure: impl Fn(HokuyoConfig) -> HokuyoConfig,
+    prepare: impl Fn(&SimulatedHokuyo),
+) -> HokuyoBench {
+    let (folder, path) = stable_path();
+    let device = SimulatedHokuyo::on_pty(model, &path, source).unwrap();
+    prepare(&device);
+    let config = configure(HokuyoConfig { model, ..HokuyoConfig::new(Port::Serial(path)) });
+    let lidar = HokuyoLidar::open(config).unwrap();
+    let monitor = lidar.monitor();
+    Bench::new(device, lidar, monitor, folder)
 }
 
 /// All ranges of a scan are equal and count the scans: 1001 mm for the first.
@@ -109,7 +58,7 @@ fn count_of(scan: &LaserScan) -> u32 {
 
 #[test]
 fn silence_for_more_than_two_periods_is_a_timeout_and_no_old_scan() {
-    let mut bench = Bench::new(Model::Utm30lx);
+    let mut bench = bench(Model::Utm30lx);
     bench.until_scan();
     bench.device.set_wire(WireFaults { is_stalled: true, ..WireFaults::default() });
     let stalled_ns = monotonic_ns();
@@ -126,7 +75,7 @@ fn silence_for_more_than_two_periods_is_a_timeout_and_no_old_scan() {
 #[test]
 fn a_truncated_scan_is_dropped_and_the_next_one_is_taken() {
     let mut bench =
-        Bench::with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
+        bench_with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
     bench.until_scan();
     bench.device.set_wire(WireFaults { cut_share: 0.2, ..WireFaults::default() });
     let mut scans = 0;
@@ -141,7 +90,7 @@ fn a_truncated_scan_is_dropped_and_the_next_one_is_taken() {
 #[test]
 fn a_scan_with_a_flipped_bit_is_never_returned() {
     let mut bench =
-        Bench::with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
+        bench_with(Model::Utm30lx, Box::new(Counting::default()), |config| config, |_| {});
     bench.until_scan();
     bench.device.set_wire(WireFaults { flip_share: 0.5, ..WireFaults::default() });
     let begin = count_of(&bench.scan);
@@ -156,7 +105,7 @@ fn a_scan_with_a_flipped_bit_is_never_returned() {
 
 #[test]
 fn a_dropped_scan_is_reported_as_corrupt() {
-    let mut bench = Bench::new(Model::Utm30lx);
+    let mut bench = bench(Model::Utm30lx);
     bench.until_scan();
     bench.device.set_wire(WireFaults { flip_share: 0.3, ..WireFaults::default() });
     bench.until_error(ErrorKind::Corrupt);
@@ -164,7 +113,7 @@ fn a_dropped_scan_is_reported_as_corrupt() {
 
 #[test]
 fn a_reboot_into_scip_1_is_recovered_automatically() {
-    let mut bench = Bench::new(Model::Urg04lx);
+    let mut bench = bench(Model::Urg04lx);
     bench.until_scan();
     bench.device.reboot(500 * MS);
     bench.until_error(ErrorKind::Timeout);
@@ -174,7 +123,7 @@ fn a_reboot_into_scip_1_is_recovered_automatically() {
 
 #[test]
 fn a_replugged_scanner_is_found_by_its_stable_path_without_a_restart() {
-    let mut bench = Bench::new(Model::Utm30lx);
+    let mut bench = bench(Model::Utm30lx);
     bench.until_scan();
     for times in 1..=3 {
         bench.device.unplug();
@@ -190,7 +139,7 @@ fn a_replugged_scanner_is_found_by_its_stable_path_without_a_restart() {
 
 #[test]
 fn a_scanner_that_is_plugged_in_later_is_found() {
-    let mut bench = Bench::with(
+    let mut bench = bench_with(
         Model::Utm30lx,
         Box::new(Room::new(Model::Utm30lx)),
         |config| config,
@@ -207,7 +156,7 @@ fn a_scanner_that_is_plugged_in_later_is_found() {
 fn after_each_reconnect_the_configured_number_of_good_scans_precedes_the_first_returned_one() {
     let source = Counting::default();
     let configure = |config| HokuyoConfig { good_scans: 5, ..config };
-    let mut bench = Bench::with(Model::Utm30lx, Box::new(source.clone()), configure, |_| {});
+    let mut bench = bench_with(Model::Utm30lx, Box::new(source.clone()), configure, |_| {});
     bench.until_scan();
     assert!(count_of(&bench.scan) >= 5);
     bench.device.unplug();
@@ -220,7 +169,7 @@ fn after_each_reconnect_the_configured_number_of_good_scans_precedes_the_first_r
 
 #[test]
 fn a_scan_of_nothing_but_errors_is_a_fault_and_not_free_space() {
-    let mut bench = Bench::new(Model::Utm30lx);
+    let mut bench = bench(Model::Utm30lx);
     bench.until_scan();
     bench.device.set_health(Health::Blind);
     bench.until_error(ErrorKind::Fault);
@@ -235,7 +184,7 @@ fn a_scan_of_nothing_but_errors_is_a_fault_and_not_free_space() {
 
 #[test]
 fn noise_before_the_first_answer_is_skipped() {
-    Bench::with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, send_noise)
+    bench_with(Model::Utm30lx, Box::new(Room::new(Model::Utm30lx)), |config| config, send_noise)
         .until_scan();
 }
 
@@ -246,7 +195,7 @@ fn send_noise(device: &SimulatedHokuyo) {
 #[test]
 fn a_wrong_baud_rate_is_named() {
     let model = Model::Utm30lx;
-    let mut bench = Bench::with(
+    let mut bench = bench_with(
         model,
         Box::new(Room::new(model)),
         |config| config,
@@ -261,7 +210,7 @@ fn a_wrong_baud_rate_is_named() {
 fn the_right_baud_rate_is_set_on_the_port() {
     let model = Model::Utm30lx;
     let configure = |config| HokuyoConfig { baud: 750_000, ..config };
-    Bench::with(model, Box::new(Room::new(model)), configure, |device| device.set_baud(750_000))
+    bench_with(model, Box::new(Room::new(model)), configure, |device| device.set_baud(750_000))
         .until_scan();
 }
 
@@ -269,7 +218,7 @@ fn the_right_baud_rate_is_set_on_the_port() {
 fn another_model_than_configured_is_refused_by_name() {
     let configure = |config| HokuyoConfig { model: Model::Utm30lx, ..config };
     let mut bench =
-        Bench::with(Model::Urg04lx, Box::new(Room::new(Model::Urg04lx)), configure, |_| {});
+        bench_with(Model::Urg04lx, Box::new(Room::new(Model::Urg04lx)), configure, |_| {});
     let problem = bench.until_problem("URG-04LX");
     assert!(problem.contains("configured is UTM-30LX"), "{problem}");
     assert_eq!(bench.poll().unwrap_err().kind(), ErrorKind::Fault);
@@ -277,7 +226,7 @@ fn another_model_than_configured_is_refused_by_name() {
 
 #[test]
 fn a_motor_fault_a_broken_laser_and_a_laser_that_is_off_are_named() {
-    let mut bench = Bench::new(Model::Utm30lx);
+    let mut bench = bench(Model::Utm30lx);
     bench.until_scan();
     for (health, expected) in [
         (Health::MotorFault, "Motor malfunction"),
@@ -306,7 +255,7 @@ fn beams_of_an_upside_down_scanner_are_mirrored() {
     for model in [Model::Utm30lx, Model::Urg04lx] {
         let upright = model.geometry(false);
         let configure = |config| HokuyoConfig { upside_down: true, ..config };
-        let mut bench = Bench::with(model, Box::new(OneSide), configure, |_| {});
+        let mut bench = bench_with(model, Box::new(OneSide), configure, |_| {});
         bench.until_scan();
         for (angle_rad, distance_m) in bench.scan.hits() {
             let step = ((-angle_rad - upright.angle_min_rad) / upright.angle_increment_rad).round();
@@ -323,7 +272,7 @@ fn beams_of_an_upside_down_scanner_are_mirrored() {
 fn scans_are_stamped_with_their_begin_although_the_clocks_differ() {
     let source = Counting::default();
     let fast = |device: &SimulatedHokuyo| device.set_clock_ppm(400.0);
-    let mut bench = Bench::with(Model::Utm30lx, Box::new(source.clone()), |config| config, fast);
+    let mut bench = bench_with(Model::Utm30lx, Box::new(source.clone()), |config| config, fast);
     let mut worst_ns = Vec::new();
     for _ in 0..120 {
         bench.until_scan();
@@ -342,8 +291,8 @@ fn ethernet_models_are_read_over_tcp_and_reconnected_when_the_connection_was_clo
     let device = SimulatedHokuyo::on_tcp(model, any, Box::new(Room::new(model))).unwrap();
     let port = format!("tcp:{}", device.address().unwrap()).parse().unwrap();
     let lidar = HokuyoLidar::open(HokuyoConfig { model, ..HokuyoConfig::new(port) }).unwrap();
-    let scan = LaserScan::empty(lidar.geometry());
-    let mut bench = Bench { device, lidar, scan, _folder: tempfile::tempdir().unwrap() };
+    let monitor = lidar.monitor();
+    let mut bench = Bench::new(device, lidar, monitor, tempfile::tempdir().unwrap());
     bench.until_scan();
     bench.device.unplug();
     bench.until_error(ErrorKind::Disconnected);
@@ -355,7 +304,7 @@ fn ethernet_models_are_read_over_tcp_and_reconnected_when_the_connection_was_clo
 
 #[test]
 fn the_safety_thread_allocates_nothing_when_it_polls() {
-    let mut bench = Bench::new(Model::Utm30lx);
+    let mut bench = bench(Model::Utm30lx);
     bench.until_scan();
     for plugged in [true, false] {
         if !plugged {
@@ -372,10 +321,10 @@ fn the_safety_thread_allocates_nothing_when_it_polls() {
 
 #[test]
 fn a_dropped_driver_switches_the_scanner_off() {
-    let mut bench = Bench::new(Model::Utm30lx);
+    let mut bench = bench(Model::Utm30lx);
     bench.until_scan();
     assert_eq!(bench.lidar.status().state, DeviceState::Working);
-    let Bench { device, lidar, _folder, .. } = bench;
+    let Bench { device, lidar, folder: _folder, .. } = bench;
     drop(lidar);
     let deadline_ns = monotonic_ns() + TIMEOUT_NS;
     while device.scans().1 {

@@ -2,22 +2,23 @@
 //! run on the pty of simulated scanners, in real time.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its fixture has failed")]
 
+mod scanner_bench;
+
 use std::path::PathBuf;
 
 use drivers::DeviceState;
 use drivers::ld06::{self, Ld06Config};
-use drivers::rotary::{Mount, Place, RotaryError, RotaryLidar};
+use drivers::rotary::{Mount, Place, RotaryLidar};
 use drivers::rplidar::{self, Model, RplidarConfig, ScanMode};
-use hal::{Clock, Error, ErrorKind, LaserScan, Lidar, Range};
+use hal::{Clock, Error, ErrorKind, Range};
 use hil::hokuyo::WireFaults;
 use hil::ld06::{Ld06Sensor, SimulatedLd06};
 use hil::rotary::{CircleRoom, CircleSource, Sensor, SimulatedRotary};
 use hil::rplidar::{RplidarHealth, RplidarSensor, SimulatedRplidar};
 use monotonic_clock::{MonotonicClock, monotonic_ns};
+use scanner_bench::{Bench, MS, TIMEOUT_NS, stable_path};
 
-const MS: u64 = 1_000_000;
-/// A computer that is busy with other tests may need long.
-const TIMEOUT_NS: u64 = 20_000 * MS;
+type RotaryBench<S> = Bench<SimulatedRotary<S>, RotaryLidar>;
 
 /// A wall around the scanner, whose distance tells the direction: 3 m ahead, and 1 cm more for every
 /// degree counter-clockwise, from -180 to 180.
@@ -30,25 +31,20 @@ impl CircleSource for Compass {
     }
 }
 
-/// A simulated scanner on a pty, and its driver.
-struct Bench<S: Sensor> {
+fn bench_of<S: Sensor>(
     device: SimulatedRotary<S>,
     lidar: RotaryLidar,
-    scan: LaserScan,
-    _folder: tempfile::TempDir,
-}
-
-fn stable_path() -> (tempfile::TempDir, PathBuf) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("usb-lidar");
-    (folder, path)
+    folder: tempfile::TempDir,
+) -> RotaryBench<S> {
+    let monitor = lidar.monitor();
+    Bench::new(device, lidar, monitor, folder)
 }
 
 fn place(path: PathBuf) -> Place {
     Place::new(drivers::Port::Serial(path))
 }
 
-fn ld06() -> Bench<Ld06Sensor> {
+fn ld06() -> RotaryBench<Ld06Sensor> {
     ld06_with(Box::new(CircleRoom), Mount::default(), |_| {})
 }
 
@@ -56,15 +52,15 @@ fn ld06_with(
     source: Box<dyn CircleSource>,
     mount: Mount,
     prepare: impl Fn(&SimulatedLd06),
-) -> Bench<Ld06Sensor> {
+) -> RotaryBench<Ld06Sensor> {
     let (folder, path) = stable_path();
     let device = SimulatedLd06::on_pty(&path, Ld06Sensor::new(source, monotonic_ns())).unwrap();
     prepare(&device);
     let lidar = ld06::open(Place { mount, ..place(path) }, &Ld06Config::default()).unwrap();
-    Bench::new(device, lidar, folder)
+    bench_of(device, lidar, folder)
 }
 
-fn rplidar(model: Model) -> Bench<RplidarSensor> {
+fn rplidar(model: Model) -> RotaryBench<RplidarSensor> {
     let config = RplidarConfig { model, ..RplidarConfig::default() };
     rplidar_with(model, Box::new(CircleRoom), &config, |_| {})
 }
@@ -74,16 +70,16 @@ fn rplidar_with(
     source: Box<dyn CircleSource>,
     config: &RplidarConfig,
     prepare: impl Fn(&SimulatedRplidar),
-) -> Bench<RplidarSensor> {
+) -> RotaryBench<RplidarSensor> {
     let (folder, path) = stable_path();
     let sensor = RplidarSensor::new(real, source, monotonic_ns());
     let device = SimulatedRplidar::on_pty(&path, sensor).unwrap();
     prepare(&device);
     let lidar = rplidar::open(place(path), config).unwrap();
-    Bench::new(device, lidar, folder)
+    bench_of(device, lidar, folder)
 }
 
-impl Bench<RplidarSensor> {
+impl RotaryBench<RplidarSensor> {
     fn until_reset(&mut self) {
         let deadline_ns = monotonic_ns() + TIMEOUT_NS;
         while self.device.with(|sensor| sensor.resets()) == 0 {
@@ -93,46 +89,7 @@ impl Bench<RplidarSensor> {
     }
 }
 
-impl<S: Sensor> Bench<S> {
-    fn new(device: SimulatedRotary<S>, lidar: RotaryLidar, folder: tempfile::TempDir) -> Self {
-        let scan = LaserScan::empty(lidar.geometry());
-        Self { device, lidar, scan, _folder: folder }
-    }
-
-    fn poll(&mut self) -> Result<bool, RotaryError> {
-        MonotonicClock.sleep_until_ns(monotonic_ns() + MS);
-        self.lidar.poll_scan(&mut self.scan)
-    }
-
-    fn until(&mut self, what: &str, mut condition: impl FnMut(&Result<bool, RotaryError>) -> bool) {
-        let deadline_ns = monotonic_ns() + TIMEOUT_NS;
-        while !condition(&self.poll()) {
-            let monitor = self.lidar.monitor();
-            let status = monitor.status();
-            let problem = monitor.problem();
-            assert!(
-                monotonic_ns() < deadline_ns,
-                "timed out waiting for {what}: {status:?}, {problem:?}"
-            );
-        }
-    }
-
-    fn until_scan(&mut self) {
-        self.until("a scan", |polled| matches!(polled, Ok(true)));
-    }
-
-    fn until_error(&mut self, kind: ErrorKind) {
-        self.until(&format!("{kind:?}"), |polled| {
-            polled.as_ref().is_err_and(|error| error.kind() == kind)
-        });
-    }
-
-    fn until_problem(&mut self, word: &str) -> String {
-        let monitor = self.lidar.monitor();
-        self.until(word, |_| monitor.problem().is_some_and(|problem| problem.contains(word)));
-        monitor.problem().unwrap()
-    }
-
+impl<S: Sensor> RotaryBench<S> {
     fn wire(&self, wire: WireFaults) {
         self.device.set_wire(wire);
     }
@@ -157,7 +114,7 @@ impl<S: Sensor> Bench<S> {
 }
 
 /// What every scanner has to do: silence, noise, flipped bits, cut packets and a pulled plug.
-fn survives_the_faults_of_its_cable<S: Sensor>(mut bench: Bench<S>) {
+fn survives_the_faults_of_its_cable<S: Sensor>(mut bench: RotaryBench<S>) {
     bench.until_scan();
     bench.wire(WireFaults { is_stalled: true, ..WireFaults::default() });
     bench.until_error(ErrorKind::Timeout);
@@ -225,7 +182,7 @@ fn an_ld06_that_is_mounted_backwards_is_turned_by_its_configuration() {
 
 #[test]
 fn a_packet_with_a_flipped_bit_or_a_cut_one_never_shows_a_wrong_distance() {
-    fn never_wrong<S: Sensor>(mut bench: Bench<S>) {
+    fn never_wrong<S: Sensor>(mut bench: RotaryBench<S>) {
         bench.until_scan();
         for wire in [
             WireFaults { flip_share: 0.1, ..WireFaults::default() },
@@ -253,7 +210,7 @@ fn a_packet_with_a_flipped_bit_or_a_cut_one_never_shows_a_wrong_distance() {
 
 #[test]
 fn a_missing_sector_is_errors_and_not_free() {
-    fn has_errors_between<S: Sensor>(bench: &mut Bench<S>, from_deg: f64, to_deg: f64) {
+    fn has_errors_between<S: Sensor>(bench: &mut RotaryBench<S>, from_deg: f64, to_deg: f64) {
         // The scan in which the sector went missing may be partly old.
         bench.until_scan();
         bench.until_scan();
@@ -332,7 +289,7 @@ fn another_device_on_the_port_is_named() {
     let sensor = Ld06Sensor::new(Box::new(CircleRoom), monotonic_ns());
     let device = SimulatedLd06::on_pty(&path, sensor).unwrap();
     let lidar = rplidar::open(place(path), &RplidarConfig::default()).unwrap();
-    let mut bench = Bench::new(device, lidar, tempfile::tempdir().unwrap());
+    let mut bench = bench_of(device, lidar, tempfile::tempdir().unwrap());
     let problem = bench.until_problem("nothing that a RPLIDAR A1 sends");
     assert!(problem.contains("correct `kind`, `port`"), "{problem}");
     assert!(bench.poll().is_err());
@@ -340,7 +297,7 @@ fn another_device_on_the_port_is_named() {
     let sensor = RplidarSensor::new(Model::A1, Box::new(CircleRoom), monotonic_ns());
     let device = SimulatedRplidar::on_pty(&path, sensor).unwrap();
     let lidar = ld06::open(place(path), &Ld06Config::default()).unwrap();
-    let mut bench = Bench::new(device, lidar, tempfile::tempdir().unwrap());
+    let mut bench = bench_of(device, lidar, tempfile::tempdir().unwrap());
     let problem = bench.until_problem("the LD06 or LD19 sends nothing");
     assert!(problem.contains("has power"), "{problem}");
 }
@@ -428,7 +385,7 @@ fn a_dropped_driver_stops_scan_and_motor() {
     bench.until_scan();
     assert_eq!(bench.lidar.status().state, DeviceState::Working);
     assert_eq!(bench.device.with(|sensor| sensor.is_scanning()), (true, true));
-    let Bench { device, lidar, _folder, .. } = bench;
+    let Bench { device, lidar, folder: _folder, .. } = bench;
     drop(lidar);
     let deadline_ns = monotonic_ns() + TIMEOUT_NS;
     while device.with(|sensor| sensor.is_scanning()) != (false, false) {

@@ -1,62 +1,33 @@
 //! Errors of a scanner, with their remedies.
 
-use std::io;
 use std::sync::Arc;
 
 use hal::ErrorKind;
 
-use crate::scanner::{LinkError, remedy};
+use crate::scanner::{BlindError, LinkError, PollError};
 use crate::scip::{Model, ScipError};
 
-/// [`poll_scan`](hal::Lidar::poll_scan) returns only the first four variants, which do not
-/// allocate. The other variants are the detailed reasons, whose texts
+/// [`poll_scan`](hal::Lidar::poll_scan) returns only the first variant, which does not allocate. The
+/// other variants are the detailed reasons, whose texts
 /// [`problem`](crate::LidarMonitor::problem) returns.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HokuyoError {
-    /// The scanner is absent, or its first good scans are still being counted.
-    #[error(
-        "LiDAR {port}: not connected, or its first good scans are being counted; the driver \
-         keeps trying to open it"
-    )]
-    Disconnected { port: Arc<str> },
-    /// No good scan arrived within the time-out.
-    #[error(
-        "LiDAR {port}: no good scan for more than {limit_ms} ms; check its power and cable, the \
-         driver keeps listening"
-    )]
-    Silent {
-        port: Arc<str>,
-        /// The time-out: two scan periods.
-        limit_ms: u64,
-    },
-    /// A scan failed its checks.
-    #[error(
-        "LiDAR {port}: a scan failed its checks and was dropped; if it happens often, check \
-         cable and ground"
-    )]
-    Corrupt { port: Arc<str> },
-    /// The scanner is broken, covered, or another model than the configured one.
-    #[error(
-        "LiDAR {port}: broken, covered or another model; the driver's problem text names the \
-         reason and the remedy"
-    )]
-    Faulty { port: Arc<str> },
+    /// No scan can be returned now.
+    #[error(transparent)]
+    Poll(#[from] PollError),
+    /// Nothing can be read from or written to the port.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// No beam of the scans has a distance.
+    #[error(transparent)]
+    Blind(#[from] BlindError),
     /// A value of the configuration is invalid.
     #[error("LiDAR configuration: {what}")]
     Config {
         /// The value and its limits.
         what: String,
     },
-    /// The port cannot be opened.
-    #[error("LiDAR {port}: cannot be opened: {source}; {}", remedy(.source))]
-    Open { port: Arc<str>, source: io::Error },
-    /// The connection to the port was lost.
-    #[error(
-        "LiDAR {port}: the connection was lost ({source}); plug it in again, the driver waits \
-         for it"
-    )]
-    Gone { port: Arc<str>, source: io::Error },
     /// The scanner sends nothing.
     #[error(
         "LiDAR {port}: no answer to `{command}`; check that the scanner has power and has \
@@ -105,20 +76,6 @@ pub enum HokuyoError {
         status: String,
         reported: String,
     },
-    /// No beam of the scans has a distance.
-    #[error(
-        "LiDAR {port}: no beam measures a distance ({errors} errors, {too_near} too near, \
-         {no_return} without echo); uncover and clean the scanner"
-    )]
-    Blind {
-        port: Arc<str>,
-        /// Number of beams that could not be measured.
-        errors: usize,
-        /// Number of beams with an object that is too near.
-        too_near: usize,
-        /// Number of beams without an echo.
-        no_return: usize,
-    },
     /// The scanner's clock jumped.
     #[error("LiDAR {port}: its timestamps jumped, as after a restart; the driver sets it up again")]
     ClockJumped { port: Arc<str> },
@@ -130,28 +87,13 @@ pub enum HokuyoError {
 impl hal::Error for HokuyoError {
     fn kind(&self) -> ErrorKind {
         match self {
-            Self::Disconnected { .. } | Self::Open { .. } | Self::Gone { .. } => {
-                ErrorKind::Disconnected
-            }
-            Self::Silent { .. } | Self::NoAnswer { .. } => ErrorKind::Timeout,
-            Self::Corrupt { .. } | Self::NotScip { .. } | Self::ClockJumped { .. } => {
-                ErrorKind::Corrupt
-            }
-            Self::Faulty { .. }
-            | Self::Hardware { .. }
-            | Self::Blind { .. }
-            | Self::LaserOff { .. } => ErrorKind::Fault,
+            Self::Poll(error) => error.kind(),
+            Self::Link(_) => ErrorKind::Disconnected,
+            Self::NoAnswer { .. } => ErrorKind::Timeout,
+            Self::NotScip { .. } | Self::ClockJumped { .. } => ErrorKind::Corrupt,
+            Self::Hardware { .. } | Self::Blind(_) | Self::LaserOff { .. } => ErrorKind::Fault,
             Self::Config { .. } | Self::WrongModel { .. } => ErrorKind::Unsupported,
             Self::Protocol { source, .. } => source.kind(),
-        }
-    }
-}
-
-impl From<LinkError> for HokuyoError {
-    fn from(error: LinkError) -> Self {
-        match error {
-            LinkError::Open { port, source } => Self::Open { port, source },
-            LinkError::Gone { port, source } => Self::Gone { port, source },
         }
     }
 }

@@ -33,7 +33,7 @@ use std::sync::Arc;
 use hal::{ErrorType, LaserScan, Lidar, ScanGeometry};
 
 use crate::DeviceStatus;
-use crate::scanner::{LidarMonitor, PollError, Polled};
+use crate::scanner::{LidarMonitor, Polled};
 use reader::Reader;
 
 /// The driver of one scanner. Dropping it switches the laser off.
@@ -46,7 +46,7 @@ impl HokuyoLidar {
     /// Starts the driver. The scanner may be connected later.
     ///
     /// # Errors
-    /// [`HokuyoError::Config`] when the configuration is invalid; [`HokuyoError::Open`] when the
+    /// [`HokuyoError::Config`] when the configuration is invalid; [`HokuyoError::Link`] when the
     /// system cannot create a thread or descriptor.
     pub fn open(config: HokuyoConfig) -> Result<Self, HokuyoError> {
         config.validate()?;
@@ -81,14 +81,7 @@ impl Lidar for HokuyoLidar {
     }
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Self::Error> {
-        let polled = self.polled.poll(scan);
-        let port = || self.polled.port().clone();
-        polled.map_err(|error| match error {
-            PollError::Disconnected => HokuyoError::Disconnected { port: port() },
-            PollError::Silent { limit_ms } => HokuyoError::Silent { port: port(), limit_ms },
-            PollError::Corrupt => HokuyoError::Corrupt { port: port() },
-            PollError::Faulty => HokuyoError::Faulty { port: port() },
-        })
+        Ok(self.polled.poll(scan)?)
     }
 }
 

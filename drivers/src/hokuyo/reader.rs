@@ -3,13 +3,15 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering::{Relaxed, Release};
 
-use hal::{LaserScan, Range};
+use hal::LaserScan;
 use triple_buffer::Input;
 
 use super::session::{End, Session};
 use super::{HokuyoConfig, HokuyoError};
 use crate::DeviceState;
-use crate::scanner::{FIRST_WAIT_NS, Link, Received, Shared, Stop, keep_trying};
+use crate::scanner::{
+    BlindError, FIRST_WAIT_NS, Link, PollError, Received, Shared, Stop, keep_trying,
+};
 use crate::scip::{ClockSync, Command, Reply, Request, ScipError};
 use monotonic_clock::monotonic_ns;
 
@@ -153,7 +155,8 @@ impl<'a> Stream<'a> {
     }
 
     fn silent(&self) -> HokuyoError {
-        HokuyoError::Silent { port: self.port.clone(), limit_ms: 2 * self.period_ns / 1_000_000 }
+        let limit_ms = 2 * self.period_ns / 1_000_000;
+        PollError::Silent { port: self.port.clone(), limit_ms }.into()
     }
 
     /// Processes a message. Returns true when it was a valid scan.
@@ -245,13 +248,7 @@ impl<'a> Stream<'a> {
     /// An error if no beam of the scan has a distance.
     fn blind(&mut self) -> Option<HokuyoError> {
         let ranges = &self.scans.input_buffer_mut().ranges;
-
-        ranges.iter().all(|range| range.hit_m().is_none()).then(|| HokuyoError::Blind {
-            port: self.port.clone(),
-            errors: count(ranges, Range::Error),
-            too_near: count(ranges, Range::TooNear),
-            no_return: count(ranges, Range::NoReturn),
-        })
+        BlindError::of(ranges, self.port).map(Into::into)
     }
 
     /// Publishes the scan, if enough scans in a row were good.
@@ -274,10 +271,6 @@ impl<'a> Stream<'a> {
         // The state is set last, because the polling side returns no scan before it is.
         self.shared.set_state(DeviceState::Working);
     }
-}
-
-fn count(ranges: &[Range], kind: Range) -> usize {
-    ranges.iter().filter(|range| **range == kind).count()
 }
 
 /// Why the session has to end.

@@ -10,7 +10,7 @@ const NAME: &str = "LD06 or LD19";
 /// Starts the driver. The scanner may be connected later.
 ///
 /// # Errors
-/// [`RotaryError::Config`] when the configuration is invalid; [`RotaryError::Open`] when the system
+/// [`RotaryError::Config`] when the configuration is invalid; [`RotaryError::Link`] when the system
 /// cannot create a thread or descriptor.
 pub fn open(place: Place, config: &Ld06Config) -> Result<RotaryLidar, RotaryError> {
     config.validate()?;

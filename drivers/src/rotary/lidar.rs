@@ -83,7 +83,6 @@ impl Lidar for RotaryLidar {
     }
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Self::Error> {
-        let polled = self.polled.poll(scan);
-        polled.map_err(|error| RotaryError::of_poll(error, self.polled.port()))
+        Ok(self.polled.poll(scan)?)
     }
 }

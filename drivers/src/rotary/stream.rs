@@ -4,14 +4,16 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering::{Relaxed, Release};
 
-use hal::{LaserScan, Range};
+use hal::LaserScan;
 use triple_buffer::Input;
 
 use super::device::{Device, WireError};
 use super::lidar::Settings;
 use super::{Event, RotaryError, Turn, TurnClock, TurnTime};
 use crate::DeviceState;
-use crate::scanner::{End, Link, ReaderEnd, Received, Shared, Stop, keep_trying};
+use crate::scanner::{
+    BlindError, End, Link, PollError, ReaderEnd, Received, Shared, Stop, keep_trying,
+};
 use monotonic_clock::monotonic_ns;
 
 /// Time-out of the first scan, because the motor may have to start.
@@ -143,7 +145,7 @@ impl Publisher<'_> {
 
     fn silent(&self) -> RotaryError {
         let limit_ms = 2 * self.settings.geometry.period_ns / 1_000_000;
-        RotaryError::Silent { port: self.port.clone(), limit_ms }
+        PollError::Silent { port: self.port.clone(), limit_ms }.into()
     }
 
     /// Why there are no measurements.
@@ -210,13 +212,7 @@ impl Publisher<'_> {
     /// An error if no beam of the scan has a distance.
     fn blind(&mut self) -> Option<RotaryError> {
         let ranges = &self.scans.input_buffer_mut().ranges;
-        let count = |kind| ranges.iter().filter(|range| **range == kind).count();
-        ranges.iter().all(|range| range.hit_m().is_none()).then(|| RotaryError::Blind {
-            port: self.port.clone(),
-            errors: count(Range::Error),
-            too_near: count(Range::TooNear),
-            no_return: count(Range::NoReturn),
-        })
+        BlindError::of(ranges, self.port).map(Into::into)
     }
 
     /// Publishes the scan, if enough scans in a row were good.

@@ -132,7 +132,7 @@ impl Capsule {
         self.start_word() & !NEW_SCAN
     }
 
-    /// Whether the scanner has begun anew: this capsule does not continue the one before it.
+    /// Whether the scanner has started a new measurement: this capsule does not continue the one before it.
     #[must_use]
     pub fn is_new_scan(&self) -> bool {
         self.start_word() & NEW_SCAN != 0

@@ -14,7 +14,7 @@ const TRIES: usize = 3;
 /// Starts the driver. The scanner may be connected later.
 ///
 /// # Errors
-/// [`RotaryError::Config`] when the configuration is invalid; [`RotaryError::Open`] when the system
+/// [`RotaryError::Config`] when the configuration is invalid; [`RotaryError::Link`] when the system
 /// cannot create a thread or descriptor.
 pub fn open(place: Place, config: &RplidarConfig) -> Result<RotaryLidar, RotaryError> {
     config.validate()?;

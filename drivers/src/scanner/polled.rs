@@ -9,22 +9,9 @@ use hal::{LaserScan, Range, ScanGeometry};
 use rustix::event::{EventfdFlags, eventfd};
 use triple_buffer::{Input, Output, triple_buffer};
 
-use super::{LidarMonitor, LinkError, Shared, Stop};
+use super::{LidarMonitor, LinkError, PollError, Shared, Stop};
 use crate::DeviceState;
 use monotonic_clock::monotonic_ns;
-
-/// Why no scan can be returned now.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum PollError {
-    Disconnected,
-    Silent {
-        /// The time-out: two scan periods.
-        limit_ms: u64,
-    },
-    /// A scan failed its checks.
-    Corrupt,
-    Faulty,
-}
 
 /// What the reader thread of a driver works with.
 pub(crate) struct ReaderEnd {
@@ -73,10 +60,6 @@ impl Polled {
         self.geometry
     }
 
-    pub(crate) fn port(&self) -> &Arc<str> {
-        &self.port
-    }
-
     pub(crate) fn monitor(&self) -> &LidarMonitor {
         &self.monitor
     }
@@ -96,17 +79,18 @@ impl Polled {
             scan.ranges.clone_from(&newest.ranges);
             return Ok(true);
         }
-        if has_dropped { Err(PollError::Corrupt) } else { Ok(false) }
+        if has_dropped { Err(PollError::Corrupt { port: self.port.clone() }) } else { Ok(false) }
     }
 
     /// Returns an error if no scan can be returned now.
     fn check_alive(&self) -> Result<(), PollError> {
         let limit_ns = 2 * self.geometry.period_ns;
+        let port = || self.port.clone();
         let is_silent = match self.monitor.shared.state() {
             DeviceState::Starting | DeviceState::Disconnected => {
-                return Err(PollError::Disconnected);
+                return Err(PollError::Disconnected { port: port() });
             }
-            DeviceState::Faulty => return Err(PollError::Faulty),
+            DeviceState::Faulty => return Err(PollError::Faulty { port: port() }),
             DeviceState::Silent => true,
             DeviceState::Working => {
                 let last_ns = self.monitor.shared.last_good_ns.load(Acquire);
@@ -114,7 +98,7 @@ impl Polled {
             }
         };
         if is_silent {
-            return Err(PollError::Silent { limit_ms: limit_ns / 1_000_000 });
+            return Err(PollError::Silent { port: port(), limit_ms: limit_ns / 1_000_000 });
         }
         Ok(())
     }
@@ -150,7 +134,7 @@ mod tests {
         assert!(!polled.poll(&mut scan).unwrap());
         for dropped in [1, 3] {
             polled.monitor.shared.bad.fetch_add(dropped, Relaxed);
-            assert_eq!(polled.poll(&mut scan), Err(PollError::Corrupt));
+            assert!(matches!(polled.poll(&mut scan), Err(PollError::Corrupt { .. })));
             assert!(!polled.poll(&mut scan).unwrap(), "reported twice");
         }
     }
