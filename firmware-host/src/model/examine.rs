@@ -180,7 +180,7 @@ impl Examiner {
         Self {
             camera,
             options: NetworkOptions { threads, spin, provider },
-            scorer: Scorer::new(&camera),
+            scorer: Scorer::new(&camera, config.map.min_confidence),
             frames: Vec::with_capacity(args.frames),
             times: Vec::new(),
             resident_times: Vec::new(),

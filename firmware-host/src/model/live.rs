@@ -3,11 +3,11 @@
 //!
 //! The model before it stays in memory until the trial is over, so a rollback needs no disk.
 
-use hal::{CameraModel, Clock, Pose2};
+use hal::{Clock, Pose2};
 use monotonic_clock::MonotonicClock;
 use runtime::event::{Event, SafetyEvent};
 use runtime::model_gate::{
-    LidarView, Trial, TrialCounts, TrialLimits, TrialState, TrialTick, band_scores, lidar_score,
+    LidarView, LostObstacles, Trial, TrialCounts, TrialLimits, TrialState, TrialTick, lidar_score,
 };
 use runtime::perception::{DepthNetwork, NoDepth};
 use runtime::robot::Robot;
@@ -30,7 +30,7 @@ const POLL_INTERVAL_NS: u64 = 1_000_000_000;
 /// changes of the home and its light.
 const REMEMBERED_TICKS: u64 = 6000;
 
-/// The counts are written to the disk after every so many ticks with a frame, 10 s at 10 Hz.
+/// Number of ticks with a frame after which the counts are written to the disk: 10 s at 10 Hz.
 const SAVED_EVERY_TICKS: u64 = 100;
 
 /// A change of the current model.
@@ -253,7 +253,7 @@ pub struct LiveModels {
     resident: Counted,
     next_poll_ns: u64,
     last: Option<Pose2>,
-    camera: CameraModel,
+    lost: LostObstacles,
     /// Number of ticks with a frame since the counts were saved.
     unsaved: u64,
     /// Number of ticks with a frame since the model on trial was started.
@@ -302,7 +302,7 @@ impl LiveModels {
             resident: Counted { digest, counts: resident_counts },
             next_poll_ns: 0,
             last: None,
-            camera: config.camera.model(),
+            lost: LostObstacles::new(&config.camera.model(), config.map.min_confidence),
             unsaved: 0,
             ran: 0,
         }
@@ -415,8 +415,7 @@ impl LiveModels {
                 .map(|score| score.delta1),
             lost_near: depth
                 .zip(robot.coarse_depth())
-                .and_then(|(estimate, coarse)| band_scores(estimate, coarse, &self.camera).near)
-                .map(|near| near.lost),
+                .and_then(|(estimate, coarse)| self.lost.shares(estimate, coarse).near),
         }
     }
 

@@ -3,8 +3,8 @@
 //! For each frame the difference d = candidate - resident of an error counts (a larger error is
 //! worse). Frames from one place are not independent, so the unit is the place: the mean of d over its
 //! frames. Student's t gives the bounds of the mean over places (5 % on each side), which hold with
-//! few places, too; a percentile bootstrap over three places accepts a model at the margin in 21 % of
-//! all cases instead of 5 %. The candidate is shown to be as good if the upper bound is within the
+//! few places, too: a percentile bootstrap over three places would accept a model at the margin in 20 %
+//! of all cases instead of 5 % (simulated). The candidate is shown to be as good if the upper bound is within the
 //! margin (a non-inferiority test), and shown to be worse if the lower bound is above 0.
 
 use std::collections::BTreeMap;

@@ -4,7 +4,7 @@
 use hal::CameraModel;
 use serde::{Deserialize, Serialize};
 
-use super::{BandScores, LidarPixel, Photometric, Source, band_scores};
+use super::{LidarPixel, LostObstacles, LostShares, Photometric, Source};
 use crate::perception::DepthEstimate;
 
 /// Edges of the parallax bins, in pixels. Frames are compared separately by the parallax between a
@@ -40,9 +40,9 @@ pub struct FrameScore {
     pub unmoved: Option<f64>,
     /// Agreement with the LiDAR; absent if the LiDAR measures no pixel of the frame.
     pub line: Option<LidarScore>,
-    /// Agreement with coarse depth, by range.
+    /// Shares of the obstacles near the robot that are lost.
     #[serde(default)]
-    pub ranges: BandScores,
+    pub lost: LostShares,
 }
 
 /// Parallax between a frame and its farthest source for a point 2.5 m away, pixels.
@@ -65,14 +65,19 @@ pub fn parallax_bin(parallax_px: f64) -> usize {
 #[derive(Debug)]
 pub struct Scorer {
     photometric: Photometric,
+    lost: LostObstacles,
     camera: CameraModel,
 }
 
 impl Scorer {
-    /// Allocates the buffers for frames of `camera`.
+    /// Allocates the buffers for frames of `camera`. `map_confidence`: the map uses depth from this probability on.
     #[must_use]
-    pub fn new(camera: &CameraModel) -> Self {
-        Self { photometric: Photometric::new(camera), camera: *camera }
+    pub fn new(camera: &CameraModel, map_confidence: f32) -> Self {
+        Self {
+            photometric: Photometric::new(camera),
+            lost: LostObstacles::new(camera, map_confidence),
+            camera: *camera,
+        }
     }
 
     /// Scores the depth of the frame `rgb`, whose coarse depth is `coarse`.
@@ -89,9 +94,7 @@ impl Scorer {
             photometric: errors.map(|(warped, _)| warped),
             unmoved: errors.map(|(_, unmoved)| unmoved),
             line: lidar_score(estimate, line),
-            ranges: coarse
-                .map(|coarse| band_scores(estimate, coarse, &self.camera))
-                .unwrap_or_default(),
+            lost: coarse.map(|coarse| self.lost.shares(estimate, coarse)).unwrap_or_default(),
         }
     }
 

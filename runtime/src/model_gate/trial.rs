@@ -86,7 +86,7 @@ pub struct TrialTick {
     pub moved_m: f64,
     /// Share of right depths against the LiDAR; `None` without LiDAR pixels.
     pub delta1: Option<f64>,
-    /// Share of lost obstacles nearer than 2 m ([`BandScores::near`](super::BandScores)); `None`
+    /// Share of lost obstacles nearer than 2 m ([`LostShares::near`](super::LostShares)); `None`
     /// without any.
     pub lost_near: Option<f64>,
 }

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{BAND_NAMES, BandScore, FrameScore, Paired, PoseBin, compare, parallax_bin};
+use super::{FrameScore, NearRange, Paired, PoseBin, compare, parallax_bin};
 
 /// Limits of the gate. The operator may make them stricter than the defaults, but not looser.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -239,41 +239,6 @@ pub struct Verdict {
     pub near: Vec<NearEvidence>,
 }
 
-/// Where an obstacle is near.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum NearRange {
-    /// Between 0.3 and 1 m.
-    First,
-    /// Between 1 and 2 m.
-    Second,
-    /// Nearer than 2 m in the corridor that the robot sweeps.
-    Corridor,
-}
-
-impl NearRange {
-    /// Every one.
-    pub const ALL: [Self; 3] = [Self::First, Self::Second, Self::Corridor];
-
-    fn of(self, score: &FrameScore) -> Option<BandScore> {
-        match self {
-            Self::First => score.ranges.bands[0],
-            Self::Second => score.ranges.bands[1],
-            Self::Corridor => score.ranges.corridor,
-        }
-    }
-}
-
-impl std::fmt::Display for NearRange {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::First => write!(f, "at {}", BAND_NAMES[0]),
-            Self::Second => write!(f, "at {}", BAND_NAMES[1]),
-            Self::Corridor => f.write_str("in the corridor ahead up to 2 m"),
-        }
-    }
-}
-
 /// What the held-out frames say about obstacles in one range.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct NearEvidence {
@@ -343,8 +308,8 @@ const LEAST_PLACE_FRAMES: usize = 3;
 fn near_evidence(frames: &[ScoredFrame], what: NearRange) -> NearEvidence {
     let mut lost: BTreeMap<PoseBin, Vec<f64>> = BTreeMap::new();
     for frame in frames {
-        if let Some(score) = frame.candidate.as_ref().and_then(|score| what.of(score)) {
-            lost.entry(frame.bin).or_default().push(score.lost);
+        if let Some(share) = frame.candidate.as_ref().and_then(|score| score.lost.at(what)) {
+            lost.entry(frame.bin).or_default().push(share);
         }
     }
     let all: Vec<f64> = lost.values().flatten().copied().collect();
@@ -453,7 +418,7 @@ fn too_slow(examination: &Examination, limits: &GateLimits) -> Option<RefusalRea
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model_gate::{BandScores, LidarScore};
+    use crate::model_gate::{LidarScore, LostShares};
 
     /// The score of a model whose errors are those of an average model times `factor`.
     fn score(factor: f64, noise: f64) -> FrameScore {
@@ -466,7 +431,7 @@ mod tests {
                 delta1: 1.0 - 0.15 * factor - noise,
                 brier: 0.1 * factor,
             }),
-            ranges: BandScores::default(),
+            lost: LostShares::default(),
         }
     }
 
@@ -620,10 +585,9 @@ mod tests {
     fn with_lost(lost: impl Fn(i64) -> f64) -> Examination {
         let mut examination = scored(0.7, Some(1.0));
         for frame in &mut examination.frames {
-            let band = BandScore { pixels: 100, wrong: 0.1, lost: lost(frame.bin.x) };
-            let ranges = &mut frame.candidate.as_mut().unwrap().ranges;
-            ranges.bands[1] = Some(band);
-            ranges.corridor = Some(band);
+            let share = Some(lost(frame.bin.x));
+            let shares = &mut frame.candidate.as_mut().unwrap().lost;
+            *shares = LostShares { second: share, corridor: share, ..*shares };
         }
         examination
     }
