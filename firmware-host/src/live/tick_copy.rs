@@ -99,7 +99,7 @@ impl Copies {
             let rgb = view.data().to_vec();
             copy.frame = Some(RgbImage { width: view.width(), height: view.height(), rgb });
         }
-        if self.hub.wants(Topic::Depth) && robot.has_depth() && self.depth.is_due(at) {
+        if self.hub.wants(Topic::Depth) && robot.can_show_depth() && self.depth.is_due(at) {
             copy.depth = robot.shown_depth();
         }
         if self.hub.wants(Topic::Events) {

@@ -83,14 +83,14 @@ hal::settings! {
         learn_confidence: f32 = 0.7, in 0.0..=0.99;
         /// Logistic model of the probability that a recalled depth is correct: weights as in `coarse.belief_weights`.
         recall_weights: [f32; 5] = [-4.87, 1.86, 0.85, 3.66, 1.65], in -100.0..=100.0,
-            source "cargo xtask accuracy --fit";
+            source "cargo xtask accuracy --fit-dense";
         /// Logistic model where there are coarse and recalled depth: weights of a constant, the logit of the more probable one,
         /// the logit of the other one when it agrees and when it does not, and the agreement.
         joint_weights: [f32; 5] = [-0.80, 0.90, 0.39, 0.09, 0.68], in -100.0..=100.0,
-            source "cargo xtask accuracy --fit";
+            source "cargo xtask accuracy --fit-dense";
         /// Logistic model of the probability that a filled depth is correct: weights of a constant, the logarithm of the cost of
         /// the way from the nearest known cell, and the spread of the values from all sides.
-        fill_weights: [f32; 3] = [1.85, -0.65, -4.48], in -100.0..=100.0, source "cargo xtask accuracy --fit";
+        fill_weights: [f32; 3] = [1.85, -0.65, -4.48], in -100.0..=100.0, source "cargo xtask accuracy --fit-dense";
     }
 }
 

@@ -1,8 +1,8 @@
 //! Dense depth: coarse depth, completed by what was seen before and by the cells around.
 //!
-//! Every cell of 4x4 pixels takes the most probable of three: coarse depth of this frame, the depth that the voxel map recalls
-//! ([`VoxelMap`]), and a depth that is filled in from the cells around ([`Fill`]). Where coarse depth and the voxel map agree, the
-//! probability of both rises.
+//! Every cell of 4x4 pixels takes the more probable of coarse depth of this frame and the depth that the voxel map recalls
+//! ([`VoxelMap`]); where both agree, the probability rises. A cell for which neither is more probable than 50 % is filled from the
+//! cells around it ([`Fill`]).
 //!
 //! The map does not use recalled and filled depth: it knows already what was seen before, and a filled cell was never seen.
 
@@ -24,21 +24,7 @@ const KNOWN: f32 = 0.5;
 /// Every cell with depth has at least this probability: the upsampling leaves out what has less.
 const LEAST: f32 = 0.02;
 
-/// Where the depth of a cell comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum DenseSource {
-    /// There is none.
-    #[default]
-    None,
-    /// Coarse depth of this frame.
-    Coarse,
-    /// The voxel map.
-    Recalled,
-    /// The cells around.
-    Filled,
-}
-
-/// A cell before its source was chosen, for the fit of the probabilities.
+/// What a cell could have been, for the fit of the probabilities.
 #[derive(Debug, Clone, Copy)]
 pub struct Candidates {
     /// Coarse depth and its probability.
@@ -64,7 +50,6 @@ pub struct DenseDepth {
     recalled: Vec<f32>,
     joined: Vec<Belief>,
     confidence: Vec<f32>,
-    source: Vec<DenseSource>,
     grey: Vec<u16>,
     estimate: DepthEstimate,
 }
@@ -91,7 +76,6 @@ impl DenseDepth {
             recalled: vec![0.0; count],
             joined: vec![Belief::default(); count],
             confidence: vec![0.0; count],
-            source: vec![DenseSource::None; count],
             grey: vec![0; count],
             estimate: DepthEstimate::none(camera.width, camera.height),
             cells,
@@ -128,13 +112,7 @@ impl DenseDepth {
         &self.estimate
     }
 
-    /// The source of the depth of every cell of 4x4 pixels, row-major.
-    #[must_use]
-    pub fn sources(&self) -> &[DenseSource] {
-        &self.source
-    }
-
-    /// What every cell could have been, row-major; `cargo xtask accuracy --fit` fits the probabilities with it.
+    /// What every cell could have been, row-major; `cargo xtask accuracy --fit-dense` fits the probabilities with it.
     pub fn candidates(&self) -> impl Iterator<Item = Candidates> {
         let recalled = self.voxels.last().iter().zip(self.around_recalled.last());
         let recalled =
@@ -165,15 +143,11 @@ impl DenseDepth {
             };
             self.coarse[cell] = (coarse, p_coarse);
             self.recalled[cell] = p_old;
-            let (belief, confidence, source) = if p_coarse >= p_old {
-                (coarse, p_coarse, DenseSource::Coarse)
-            } else {
-                (old, p_old, DenseSource::Recalled)
-            };
+            let (belief, confidence) =
+                if p_coarse >= p_old { (coarse, p_coarse) } else { (old, p_old) };
             let is_known = confidence >= KNOWN;
             let both = p_coarse > 0.0 && p_old > 0.0;
             self.joined[cell] = if is_known { belief } else { Belief::default() };
-            self.source[cell] = if is_known { source } else { DenseSource::None };
             self.confidence[cell] = match (is_known, both) {
                 (false, _) => 0.0,
                 (true, false) => confidence,
@@ -191,13 +165,13 @@ impl DenseDepth {
         shrink(seen.smooth, self.estimate.depth.width(), self.cells.width, &mut self.grey);
         let filled = self.fill.fill(&self.joined, &self.grey, self.cells.width);
         for (cell, filled) in filled.iter().enumerate() {
-            if self.source[cell] != DenseSource::None || filled.inverse_depth == 0.0 {
+            let is_known = self.confidence[cell] > 0.0;
+            if is_known || filled.inverse_depth == 0.0 {
                 continue;
             }
             self.joined[cell].inverse_depth = filled.inverse_depth;
             let confidence = logistic(&self.config.fill_weights, &filled.features());
             self.confidence[cell] = confidence.max(LEAST);
-            self.source[cell] = DenseSource::Filled;
         }
     }
 
@@ -311,9 +285,10 @@ mod tests {
             robot.look(&at(0.06 * f64::from(step)));
         }
         robot.look(&at(0.0));
-        let sources = robot.dense.sources();
-        let recalled = sources.iter().filter(|source| **source == DenseSource::Recalled).count();
-        assert!(recalled * 2 > sources.len(), "{recalled}");
+        let cells: Vec<Candidates> = robot.dense.candidates().collect();
+        let recalled =
+            cells.iter().filter(|cell| cell.recalled.2 > cell.coarse.1.max(KNOWN)).count();
+        assert!(recalled * 2 > cells.len(), "{recalled}");
         let right = robot.right(&at(0.0));
         assert!(right > 0.95, "{right}");
     }
@@ -331,7 +306,7 @@ mod tests {
     fn a_first_frame_has_no_depth_of_any_kind() {
         let mut robot = Robot::new();
         assert!(!robot.look(&pose([0.0; 3], 0.0)));
-        assert!(robot.dense.sources().iter().all(|source| *source == DenseSource::None));
+        assert!(robot.dense.last().confidence.iter().all(|p| *p == 0.0));
         assert!(robot.dense.last().depth.values().iter().all(|depth| *depth == 0.0));
     }
 

@@ -44,7 +44,7 @@ mod wta;
 pub use belief::Belief;
 pub use coarse::CoarseDepth;
 pub use config::{CoarseConfig, DenseConfig, PerceptionError};
-pub use dense::{DenseDepth, DenseSource};
+pub use dense::DenseDepth;
 pub use estimate::{DepthEstimate, NoDepth};
 pub use network::{DepthNetwork, InputKind, NetworkError, NetworkOptions, Provider};
 pub use rotation_filter::YawError;

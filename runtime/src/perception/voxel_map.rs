@@ -14,7 +14,7 @@ use super::belief::{AGREEMENT, Belief};
 use super::surround::Surround;
 use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 
-/// Number of voxels that are kept: 2.6 MiB. A home of 100 m2 has about 400 m2 of surfaces, of which most are seen from 4 m and more.
+/// Number of voxels that are kept: 2.5 MiB. A home of 100 m2 has about 400 m2 of surfaces, of which most are seen from 4 m and more.
 const VOXELS: usize = 1 << 16;
 /// A voxel may lie in any of this many neighbouring slots; when all are taken, the one that was seen longest ago is replaced.
 const WAYS: usize = 4;
@@ -130,7 +130,7 @@ impl VoxelMap {
     }
 
     /// What the camera at `t_map_camera` should see, for every cell of `cells`, row-major: the mean of the nearest surface's
-    /// voxels. Confidence and age are those of the looks that saw it.
+    /// voxels, with evidence and number of looks of the voxel that was seen most often.
     pub fn recall(&mut self, t_map_camera: &Pose3, cells: &CameraModel) -> &[Belief] {
         self.views.clear();
         for section in 0..=self.moved.len() {

@@ -497,7 +497,7 @@ impl Robot {
 
     /// Whether this tick has depth to show.
     #[must_use]
-    pub fn has_depth(&self) -> bool {
+    pub fn can_show_depth(&self) -> bool {
         self.has_depth.dense || self.mapped_depth().is_some()
     }
 

@@ -83,7 +83,7 @@ impl Dense {
         let coarse = CoarseDepth::new(config.coarse.clone(), camera)?;
         let mount = sequence.mount.as_ref();
         let dense = DenseDepth::new(config.dense.clone(), &camera, &coarse, mount);
-        Ok(Self { name: name.replace("coarse", "dense"), coarse, dense })
+        Ok(Self { name: name.to_owned(), coarse, dense })
     }
 }
 

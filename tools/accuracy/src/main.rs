@@ -16,7 +16,7 @@ use firmware_host::config::Config;
 use hal::{CameraModel, ImageView};
 use runtime::perception::confidence::{belief_features, vote_features};
 use runtime::perception::surround::Surround;
-use runtime::perception::{Belief, CoarseConfig, CoarseDepth, Vote};
+use runtime::perception::{Belief, CoarseConfig, CoarseDepth, DenseConfig, Vote};
 use simulator::{OpenOptions, World};
 
 /// Measures the accuracy of depth on sequences with ground truth.
@@ -74,7 +74,8 @@ fn main() -> Result<()> {
         configs.push(("coarse".to_owned(), Config::default()));
     }
     if options.fit_dense {
-        return fit_dense(&sequences, &configs[0].1);
+        let config = &configs[0].1;
+        return fit_dense(&sequences, &config.coarse, &config.dense);
     }
     if options.fit {
         return fit(&sequences, &configs[0].1);
@@ -87,6 +88,7 @@ fn main() -> Result<()> {
     }
     for (name, config) in &configs {
         compare(&options, &sequences, None, |sequence| {
+            let name = if options.configs.is_empty() { "dense" } else { name };
             Ok(Box::new(Dense::new(name, config, sequence)?))
         })?;
     }
@@ -169,12 +171,12 @@ fn fit(sequences: &[Sequence], config: &Config) -> Result<()> {
         (belief.evidence > 0.0).then(|| (belief_features(belief, around), belief.inverse_depth))
     })?;
     println!("belief_weights = {:.2?}", coarse.belief_weights);
-    fit_dense(sequences, config)
+    fit_dense(sequences, &coarse, &config.dense)
 }
 
-/// Fits dense depth, with the coarse depth of the configuration.
-fn fit_dense(sequences: &[Sequence], config: &Config) -> Result<()> {
-    let dense = dense_fit::fit(sequences, &config.coarse, &config.dense)?;
+/// Fits dense depth, with this coarse depth.
+fn fit_dense(sequences: &[Sequence], coarse: &CoarseConfig, dense: &DenseConfig) -> Result<()> {
+    let dense = dense_fit::fit(sequences, coarse, dense)?;
     println!("[dense]\nrecall_weights = {:.2?}", dense.recall_weights);
     println!("joint_weights = {:.2?}", dense.joint_weights);
     println!("fill_weights = {:.2?}", dense.fill_weights);

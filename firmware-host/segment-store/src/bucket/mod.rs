@@ -32,8 +32,8 @@ use crate::source::Source;
 use crate::wire::{Refusal, RefusalKind};
 use crate::{Catalogue, Digest, Entry, FileSink, LocalCopy, Name, PULLED, Pulled, StoreError};
 
-/// More objects of segments than this under one prefix are refused, because their names would fill the memory: 5 years of one
-/// robot have 10 million objects, and its oldest runs belong under another prefix by then.
+/// A prefix with more objects of segments is refused, because their names would fill the memory. One robot makes 10 million of
+/// them in six years (400,000 in 92 days).
 const MOST_OBJECTS: usize = 10_000_000;
 
 /// This many segments are inspected at the same time.
