@@ -1,8 +1,8 @@
 //! Dense depth: coarse depth, completed by what was seen before and by the cells around.
 //!
 //! Every cell of 4x4 pixels takes the more probable of coarse depth of this frame and the depth that the voxel map recalls
-//! ([`VoxelMap`]); where both agree, the probability rises. A cell for which neither is more probable than 50 % is filled from the
-//! cells around it ([`Fill`]).
+//! (`voxel_map.rs`); where both agree, the probability rises. A cell for which neither is more probable than 50 % is filled from the
+//! cells around it (`fill.rs`).
 //!
 //! The map does not use recalled and filled depth: it knows already what was seen before, and a filled cell was never seen.
 
@@ -83,7 +83,7 @@ impl DenseDepth {
     }
 
     /// Completes the last frame of `coarse`, which must have been a frame with texture. `section` is the section of the path that
-    /// the robot is in; a closed loop moves what was seen in a section together ([`correct`](Self::correct)). `None`: the robot
+    /// the robot is in; a closed loop moves what was seen in a section together (`correct`). `None`: the robot
     /// doubts its pose, and nothing is learnt.
     pub fn complete(&mut self, coarse: &CoarseDepth, t_map_odom: &Pose2, section: Option<u16>) {
         rayon::scope(|_| self.complete_in_pool(&coarse.seen(), t_map_odom, section));
