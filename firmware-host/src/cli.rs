@@ -588,6 +588,8 @@ impl From<PolicyArg> for PolicyKind {
 pub enum DepthArg {
     /// Coarse depth, from matching frames over the known motion of the robot.
     Coarse,
+    /// Coarse depth, completed by what was seen before, by filling and by the walls that the scanner sees.
+    Dense,
     /// The output of the depth network.
     Network,
     /// Ground truth of the simulator. Tests mapping and planning only; no real robot has it.
@@ -598,6 +600,7 @@ impl From<DepthArg> for DepthSource {
     fn from(depth: DepthArg) -> Self {
         match depth {
             DepthArg::Coarse => Self::Coarse,
+            DepthArg::Dense => Self::Dense,
             DepthArg::Network => Self::Network,
             DepthArg::Truth => Self::Truth,
         }

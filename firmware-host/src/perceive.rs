@@ -6,17 +6,17 @@ mod source;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
-use hal::{ImageView, Pose2};
+use hal::ImageView;
 use runtime::accuracy::{Accuracy, ConstantBaseline};
 use runtime::event::Event;
-use runtime::perception::{CoarseDepth, DenseDepth, DepthEstimate, DepthNetwork, NoDepth};
+use runtime::perception::{CoarseDepth, DenseDepth, DepthEstimate, DepthNetwork, Moment, NoDepth};
 
 use crate::cli::PerceiveArgs;
 use crate::dataset::{Dataset, Sample};
 use crate::dump::{Dump, Shot};
 use crate::replay::segments;
 use crate::report::atomic::prepare_dir;
-use crate::report::depth_sample::{SheetRow, SheetSampler};
+use crate::report::depth_sample::{FrameDepths, SheetRow, SheetSampler};
 use crate::report::depth_scale::DepthScale;
 use crate::report::depth_sheet::DepthSheet;
 use crate::report::events::EventCounts;
@@ -163,7 +163,7 @@ impl Evaluator {
         let has_image = coarse.map_or_else(NoDepth::has_image, |_| true);
         let has_coarse = coarse.is_ok();
         if has_image {
-            self.dense.complete(&self.coarse, &Pose2::IDENTITY, Some(0));
+            self.dense.complete(&self.coarse, &Moment::HANDHELD);
         }
         self.stopwatch.lap(Stage::Dense);
         let coarse = has_coarse.then(|| self.coarse.last());
@@ -193,10 +193,13 @@ impl Evaluator {
                 }
             }
         }
-        let depths = usize::from(coarse.is_some()) + usize::from(refined.is_some());
-        self.sheet.offer(index, depths, || {
-            SheetRow::capture(index, &frame, coarse, refined, sample.truth.as_ref())
-        });
+        let depths = FrameDepths {
+            coarse,
+            dense: has_image.then(|| self.dense.last()),
+            network: refined,
+            truth: sample.truth.as_ref(),
+        };
+        self.sheet.offer(index, depths.count(), || SheetRow::capture(index, &frame, &depths));
         Ok(coarse)
     }
 

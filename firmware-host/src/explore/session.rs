@@ -34,7 +34,7 @@ use crate::map::KeptMap;
 use crate::model::LiveModels;
 use crate::record::{RecordError, Recorder, recorded_views, snapshot};
 use crate::report::coverage::Coverage;
-use crate::report::depth_sample::{SheetRow, SheetSampler};
+use crate::report::depth_sample::{FrameDepths, SheetRow, SheetSampler};
 use crate::report::depth_scale::DepthScale;
 use crate::report::depth_sheet::DepthSheet;
 use crate::report::latency::Stage;
@@ -357,7 +357,7 @@ impl Observer for RunLog {
         self.world.depth(&mut self.true_depth);
         self.evaluate(robot, input, decision)?;
         self.dump(robot, input)?;
-        self.line.observe(input, robot.mapped_depth());
+        self.line.observe(input, robot.compared_depth());
         if let Some(models) = &mut self.models {
             // In virtual time no tick is late.
             models.after(robot, input, decision, false);
@@ -388,12 +388,9 @@ impl RunLog {
             shots.offer(input, robot, &self.evaluation, &self.world.floor_plan());
         }
         if let Some(frame) = &input.frame {
-            let coarse = robot.coarse_depth();
-            let network = robot.network_depth();
-            let depths = usize::from(coarse.is_some()) + usize::from(network.is_some());
-            let truth = Some(&self.true_depth);
-            self.sheet.offer(input.tick, depths, || {
-                SheetRow::capture(input.tick, frame, coarse, network, truth)
+            let depths = FrameDepths { truth: Some(&self.true_depth), ..FrameDepths::of(robot) };
+            self.sheet.offer(input.tick, depths.count(), || {
+                SheetRow::capture(input.tick, frame, &depths)
             });
         }
         Ok(())

@@ -11,7 +11,7 @@ use crate::evaluation::Evaluation;
 use crate::report::animation::{Animation, SHOTS, Shot};
 use crate::report::atomic::ReportError;
 use crate::report::coverage::Coverage;
-use crate::report::depth_sample::SheetRow;
+use crate::report::depth_sample::{FrameDepths, SheetRow};
 use crate::report::depth_scale::DepthScale;
 
 /// The images so far.
@@ -45,9 +45,7 @@ impl Shots {
     ) {
         let due = input.tick.is_multiple_of(self.every) || input.tick == self.last;
         let Some(frame) = input.frame.as_ref().filter(|_| due) else { return };
-        let coarse = robot.coarse_depth();
-        let network = robot.network_depth();
-        let row = SheetRow::capture(input.tick, frame, coarse, network, None);
+        let row = SheetRow::capture(input.tick, frame, &FrameDepths::of(robot));
         let (width, cells) = resampled(robot.map(), &evaluation.t_world_map(), plan.grid());
         self.map_width = width;
         let coverage = evaluation.coverage().map(Coverage::share);

@@ -280,6 +280,7 @@ mod tests {
                 height: 8,
                 rgb: vec![[100, 50, 20]; 32 * 8],
                 coarse: None,
+                dense: None,
                 network: None,
                 truth: None,
             },

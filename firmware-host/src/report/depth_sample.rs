@@ -5,6 +5,7 @@ use hal::{DepthMap, ImageView, PixelFormat};
 use runtime::{
     accuracy::{Accuracy, Metrics},
     perception::DepthEstimate,
+    robot::Robot,
 };
 
 use super::colors::Rgb;
@@ -26,6 +27,8 @@ pub struct SheetRow {
     pub rgb: Vec<Rgb>,
     /// Coarse depth, if this frame has any.
     pub coarse: Option<SampledDepth>,
+    /// Dense depth, if this frame has any.
+    pub dense: Option<SampledDepth>,
     /// Depth of the network, if this frame has any.
     pub network: Option<SampledDepth>,
     /// Ground truth, metres; 0 means no value.
@@ -47,20 +50,48 @@ pub struct SampledDepth {
     pub abs_rel: Option<f64>,
 }
 
+/// The depths of one frame at full size.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct FrameDepths<'a> {
+    /// Coarse depth.
+    pub coarse: Option<&'a DepthEstimate>,
+    /// Dense depth.
+    pub dense: Option<&'a DepthEstimate>,
+    /// The network's depth.
+    pub network: Option<&'a DepthEstimate>,
+    /// Ground truth.
+    pub truth: Option<&'a DepthMap>,
+}
+
+impl<'a> FrameDepths<'a> {
+    /// What the robot estimated in its last tick.
+    #[must_use]
+    pub fn of(robot: &'a Robot) -> Self {
+        Self {
+            coarse: robot.coarse_depth(),
+            dense: robot.dense_depth(),
+            network: robot.network_depth(),
+            truth: None,
+        }
+    }
+
+    /// How many kinds of depth were measured in this frame. Dense depth does not count: nearly every frame has it.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        usize::from(self.coarse.is_some()) + usize::from(self.network.is_some())
+    }
+}
+
 impl SheetRow {
     /// Reduces one frame. `None` if the image is not RGB8 or a depth has another size.
     #[must_use]
-    pub fn capture(
-        frame: u64,
-        image: &ImageView<'_>,
-        coarse: Option<&DepthEstimate>,
-        network: Option<&DepthEstimate>,
-        truth: Option<&DepthMap>,
-    ) -> Option<Self> {
+    pub fn capture(frame: u64, image: &ImageView<'_>, depths: &FrameDepths<'_>) -> Option<Self> {
+        let FrameDepths { coarse, dense, network, truth } = *depths;
         let width = image.width();
         let height = image.height();
         let depths = [
             coarse.map(|estimate| &estimate.depth),
+            dense.map(|estimate| &estimate.depth),
             network.map(|estimate| &estimate.depth),
             truth,
         ];
@@ -77,6 +108,7 @@ impl SheetRow {
             height: height.div_ceil(stride),
             rgb: pixels.iter().map(|index| pixel(image.data(), *index)).collect(),
             coarse: coarse.and_then(|estimate| SampledDepth::of(estimate, truth, &pixels)),
+            dense: dense.and_then(|estimate| SampledDepth::of(estimate, truth, &pixels)),
             network: network.and_then(|estimate| SampledDepth::of(estimate, truth, &pixels)),
             truth: truth.map(|truth| select(truth.values(), &pixels)),
         })
@@ -189,16 +221,16 @@ mod tests {
         DepthEstimate { depth, confidence: vec![1.0; width * height] }
     }
 
+    fn of_coarse(coarse: &DepthEstimate) -> FrameDepths<'_> {
+        FrameDepths { coarse: Some(coarse), ..FrameDepths::default() }
+    }
+
     fn row(frame: u64, with_depth: bool) -> Option<SheetRow> {
         let rgb = [7; 4 * 2 * 3];
         let image = ImageView::rgb8(4, 2, &rgb).unwrap();
-        SheetRow::capture(
-            frame,
-            &image,
-            with_depth.then(|| estimate(4, 2, 2.0)).as_ref(),
-            None,
-            None,
-        )
+        let coarse = with_depth.then(|| estimate(4, 2, 2.0));
+        let depths = FrameDepths { coarse: coarse.as_ref(), ..FrameDepths::default() };
+        SheetRow::capture(frame, &image, &depths)
     }
 
     fn sampled(frames: u64, depths: impl Fn(u64) -> usize) -> Vec<SheetRow> {
@@ -243,8 +275,7 @@ mod tests {
     fn wide_images_are_reduced_and_small_ones_are_not() {
         let rgb = vec![9; 640 * 192 * 3];
         let image = ImageView::rgb8(640, 192, &rgb).unwrap();
-        let wide =
-            SheetRow::capture(5, &image, Some(&estimate(640, 192, 3.0)), None, None).unwrap();
+        let wide = SheetRow::capture(5, &image, &of_coarse(&estimate(640, 192, 3.0))).unwrap();
         assert_eq!((wide.width, wide.height, wide.rgb.len()), (320, 96, 320 * 96));
         assert_eq!(wide.coarse.unwrap().depth_m, vec![3.0; 320 * 96]);
         assert_eq!(row(0, true).unwrap().width, 4);
@@ -255,8 +286,12 @@ mod tests {
         let rgb = [7; 4 * 2 * 3];
         let image = ImageView::rgb8(4, 2, &rgb).unwrap();
         let truth = DepthMap::from_vec(4, 2, vec![2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 4.0, 4.0]).unwrap();
-        let row =
-            SheetRow::capture(0, &image, Some(&estimate(4, 2, 2.0)), None, Some(&truth)).unwrap();
+        let row = SheetRow::capture(
+            0,
+            &image,
+            &FrameDepths { truth: Some(&truth), ..of_coarse(&estimate(4, 2, 2.0)) },
+        )
+        .unwrap();
         let coarse = row.coarse.unwrap();
         assert!(
             (coarse.delta1.unwrap() - 0.75).abs() < 1e-6
@@ -268,8 +303,8 @@ mod tests {
     fn a_depth_of_another_size_is_refused() {
         let rgb = [7; 4 * 2 * 3];
         let image = ImageView::rgb8(4, 2, &rgb).unwrap();
-        assert!(SheetRow::capture(0, &image, Some(&estimate(4, 3, 2.0)), None, None).is_none());
+        assert!(SheetRow::capture(0, &image, &of_coarse(&estimate(4, 3, 2.0))).is_none());
         let gray = ImageView::new(4, 2, PixelFormat::Gray8, &rgb[..8]).unwrap();
-        assert!(SheetRow::capture(0, &gray, None, None, None).is_none());
+        assert!(SheetRow::capture(0, &gray, &FrameDepths::default()).is_none());
     }
 }

@@ -25,7 +25,7 @@ impl DepthScale {
     pub fn of<'a>(rows: impl Iterator<Item = &'a SheetRow> + Clone) -> Self {
         let truth = rows.clone().filter_map(|row| row.truth.as_deref());
         let estimated = rows
-            .flat_map(|row| [&row.coarse, &row.network])
+            .flat_map(|row| [&row.coarse, &row.dense, &row.network])
             .flatten()
             .map(|depth| &depth.depth_m[..]);
         let mut depths = valid(truth);
@@ -92,6 +92,7 @@ mod tests {
             height: 8,
             rgb: vec![[0; 3]; 64],
             coarse,
+            dense: None,
             network: None,
             truth,
         }

@@ -33,10 +33,23 @@ const CONFIDENT: f32 = 0.9;
 enum Column {
     Camera,
     Coarse,
+    Dense,
     Network,
     Confidence,
     Truth,
     Error,
+}
+
+impl Column {
+    /// The depth that this column shows.
+    fn depth(self, row: &SheetRow) -> Option<&SampledDepth> {
+        match self {
+            Self::Coarse => row.coarse.as_ref(),
+            Self::Dense => row.dense.as_ref(),
+            Self::Network => row.network.as_ref(),
+            Self::Camera | Self::Confidence | Self::Truth | Self::Error => None,
+        }
+    }
 }
 
 /// A contact sheet: one row per frame, one column per kind of data.
@@ -122,46 +135,49 @@ impl DepthSheet<'_> {
 
     /// The columns for which at least one row has data.
     fn columns(&self) -> Vec<Column> {
-        let coarse = self.rows.iter().any(|row| row.coarse.is_some());
-        let network = self.rows.iter().any(|row| row.network.is_some());
-        let truth = self.rows.iter().any(|row| row.truth.is_some());
+        let has = |of: fn(&SheetRow) -> bool| self.rows.iter().any(of);
+        let truth = has(|row| row.truth.is_some());
+        let depth = self.evaluated_column().is_some();
         let shown = [
             (Column::Camera, true),
-            (Column::Coarse, coarse),
-            (Column::Network, network),
-            (Column::Confidence, coarse || network),
+            (Column::Coarse, has(|row| row.coarse.is_some())),
+            (Column::Dense, has(|row| row.dense.is_some())),
+            (Column::Network, has(|row| row.network.is_some())),
+            (Column::Confidence, depth),
             (Column::Truth, truth),
-            (Column::Error, truth && (coarse || network)),
+            (Column::Error, truth && depth),
         ];
         shown.into_iter().filter(|(_, shown)| *shown).map(|(column, _)| column).collect()
     }
 
-    /// Whether the error column shows the error of the network or of coarse depth.
-    fn evaluates_network(&self) -> bool {
-        self.rows.iter().any(|row| row.network.is_some())
+    /// The column whose probability and error are shown: the last one that has depth in any row.
+    fn evaluated_column(&self) -> Option<Column> {
+        let all = [Column::Network, Column::Dense, Column::Coarse];
+        all.into_iter().find(|column| self.rows.iter().any(|row| column.depth(row).is_some()))
     }
 
     fn heading(&self, column: Column) -> &'static str {
-        match column {
-            Column::Camera => "camera",
-            Column::Coarse => "coarse depth",
-            Column::Network => "network depth",
-            Column::Confidence => "probability of being right",
-            Column::Truth => "ground truth",
-            Column::Error if self.evaluates_network() => "error of the network",
-            Column::Error => "error of coarse depth",
+        match (column, self.evaluated_column()) {
+            (Column::Camera, _) => "camera",
+            (Column::Coarse, _) => "coarse depth",
+            (Column::Dense, _) => "dense depth",
+            (Column::Network, _) => "network depth",
+            (Column::Confidence, _) => "probability of being right",
+            (Column::Truth, _) => "ground truth",
+            (Column::Error, Some(Column::Network)) => "error of the network",
+            (Column::Error, Some(Column::Dense)) => "error of dense depth",
+            (Column::Error, _) => "error of coarse depth",
         }
     }
 
     fn evaluated<'r>(&self, row: &'r SheetRow) -> Option<&'r SampledDepth> {
-        if self.evaluates_network() { row.network.as_ref() } else { row.coarse.as_ref() }
+        self.evaluated_column().and_then(|column| column.depth(row))
     }
 
     fn caption(&self, column: Column, row: &SheetRow) -> String {
         match column {
             Column::Camera => format!("frame {}", row.frame),
-            Column::Coarse => depth_caption(row.coarse.as_ref()),
-            Column::Network => depth_caption(row.network.as_ref()),
+            Column::Coarse | Column::Dense | Column::Network => depth_caption(column.depth(row)),
             Column::Truth => String::new(),
             Column::Confidence => self.evaluated(row).map_or_else(String::new, |depth| {
                 let confident =
@@ -183,8 +199,9 @@ impl DepthSheet<'_> {
         for index in 0..row.width * row.height {
             let color = match column {
                 Column::Camera => Some(row.rgb[index]),
-                Column::Coarse => scale.color_of(depth_at(row.coarse.as_ref(), index)),
-                Column::Network => scale.color_of(depth_at(row.network.as_ref(), index)),
+                Column::Coarse | Column::Dense | Column::Network => {
+                    scale.color_of(depth_at(column.depth(row), index))
+                }
                 Column::Confidence => {
                     let confidence = evaluated.map_or(0.0, |depth| depth.confidence[index]);
                     (confidence > 0.0).then(|| colors::probability(f64::from(confidence)))

@@ -21,6 +21,7 @@ fn row() -> SheetRow {
         height: HEIGHT,
         rgb: vec![[10, 20, 30]; WIDTH * HEIGHT],
         coarse: depth(2.0),
+        dense: None,
         network: depth(3.0),
         truth: Some(ramp),
     }
@@ -81,6 +82,17 @@ fn without_a_network_the_error_is_that_of_coarse_depth() {
     let rows = [SheetRow { network: None, ..row() }];
     let canvas = draw(&rows);
     assert_eq!(cell(&canvas, 5, 4, 10), error_color(0.0));
+}
+
+#[test]
+fn dense_depth_has_a_column_and_its_error_is_shown() {
+    let rows = [SheetRow { dense: depth(2.5), network: None, ..row() }];
+    let sheet = sheet(&rows);
+    assert_eq!(sheet.columns()[1..3], [Column::Coarse, Column::Dense]);
+    assert_eq!(sheet.heading(Column::Error), "error of dense depth");
+    let canvas = draw(&rows);
+    // Dense depth says 2.5 m where the truth is 2.5 m.
+    assert_eq!(cell(&canvas, 6, 5, 15), error_color(0.0));
 }
 
 #[test]

@@ -22,7 +22,7 @@ use crate::live::Live;
 use crate::map::KeptMap;
 use crate::model::LiveModels;
 use crate::record::{Recorder, recorded_views, snapshot};
-use crate::report::depth_sample::{SheetRow, SheetSampler};
+use crate::report::depth_sample::{FrameDepths, SheetRow, SheetSampler};
 use crate::report::events::EventCounts;
 use crate::report::goal_log::GoalLog;
 use crate::report::latency::Stage;
@@ -235,12 +235,8 @@ impl RunLog {
     /// Keeps a frame with its depth if it is one of those that the report shows.
     fn sample(&mut self, robot: &Robot, input: &TickInput<'_>) {
         let (Some(sheet), Some(frame)) = (&mut self.sheet, &input.frame) else { return };
-        let coarse = robot.coarse_depth();
-        let network = robot.network_depth();
-        let depths = usize::from(coarse.is_some()) + usize::from(network.is_some());
-        sheet.offer(input.tick, depths, || {
-            SheetRow::capture(input.tick, frame, coarse, network, None)
-        });
+        let depths = FrameDepths::of(robot);
+        sheet.offer(input.tick, depths.count(), || SheetRow::capture(input.tick, frame, &depths));
     }
 
     fn record(&mut self, robot: &Robot, input: &TickInput<'_>, decision: &Decision) -> Result<()> {
@@ -284,7 +280,7 @@ impl Observer for RunLog {
         decision: &Decision,
     ) -> Result<()> {
         self.stopwatch.since(self.started, Stage::Total);
-        self.line.observe(input, robot.mapped_depth());
+        self.line.observe(input, robot.compared_depth());
         log_agreement(&self.line, &mut self.line_logged_ns, input.time_ns);
         if let Some(models) = &mut self.models {
             let late = self.started.elapsed().as_nanos() > u128::from(self.period_ns);

@@ -56,7 +56,7 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
-    use crate::report::depth_sample::SheetRow;
+    use crate::report::depth_sample::{FrameDepths, SheetRow};
     use crate::setup::Mission;
 
     fn robot(config: &Config) -> Robot {
@@ -74,7 +74,7 @@ mod tests {
         let mut sheet = SheetSampler::default();
         let rgb = [7; 4 * 2 * 3];
         let frame = ImageView::rgb8(4, 2, &rgb).unwrap();
-        sheet.offer(0, 0, || SheetRow::capture(0, &frame, None, None, None));
+        sheet.offer(0, 0, || SheetRow::capture(0, &frame, &FrameDepths::default()));
         let mut seen = RunLog::new(&config, None, None);
         seen.sheet = Some(sheet);
         assert_eq!(write(dir.path(), &robot(&config), seen).unwrap(), [DEPTH_FILE]);

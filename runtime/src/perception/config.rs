@@ -82,15 +82,26 @@ hal::settings! {
         /// Depths with a lower probability of being correct are not put into the voxel map.
         learn_confidence: f32 = 0.7, in 0.0..=0.99;
         /// Logistic model of the probability that a recalled depth is correct: weights as in `coarse.belief_weights`.
-        recall_weights: [f32; 5] = [-4.87, 1.86, 0.85, 3.66, 1.65], in -100.0..=100.0,
+        recall_weights: [f32; 5] = [-5.26, 2.02, 0.80, 3.50, 2.19], in -100.0..=100.0,
             source "cargo xtask accuracy --fit-dense";
         /// Logistic model where there are coarse and recalled depth: weights of a constant, the logit of the more probable one,
         /// the logit of the other one when it agrees and when it does not, and the agreement.
-        joint_weights: [f32; 5] = [-0.80, 0.90, 0.39, 0.09, 0.68], in -100.0..=100.0,
+        joint_weights: [f32; 5] = [-0.82, 0.83, 0.45, 0.07, 0.86], in -100.0..=100.0,
             source "cargo xtask accuracy --fit-dense";
         /// Logistic model of the probability that a filled depth is correct: weights of a constant, the logarithm of the cost of
         /// the way from the nearest known cell, and the spread of the values from all sides.
-        fill_weights: [f32; 3] = [1.85, -0.65, -4.48], in -100.0..=100.0, source "cargo xtask accuracy --fit-dense";
+        fill_weights: [f32; 3] = [2.27, -0.78, -4.63], in -100.0..=100.0, source "cargo xtask accuracy --fit-dense";
+        /// Whether the safety LiDAR's scan is used, too: in front of what it hit there is floor, and a wall stands above it.
+        walls: bool = true;
+        /// Logistic model of the probability that such a wall or floor is correct: weights of a constant, the logit of the share
+        /// of the cells around that agree with their walls, and whether it is floor.
+        wall_weights: [f32; 3] = [0.12, 1.45, 1.16], in -100.0..=100.0, source "cargo xtask accuracy --fit-dense";
+        /// Logistic model where there are a depth that was seen and a wall: weights as in `joint_weights`.
+        seen_wall_weights: [f32; 5] = [-0.45, 0.73, 0.43, -0.12, 0.27], in -100.0..=100.0,
+            source "cargo xtask accuracy --fit-dense";
+        /// Logistic model where there are a filled depth and a wall: weights as in `joint_weights`.
+        filled_wall_weights: [f32; 5] = [0.47, 0.57, 0.43, 0.18, 0.68], in -100.0..=100.0,
+            source "cargo xtask accuracy --fit-dense";
     }
 }
 

@@ -1,12 +1,13 @@
-//! Dense depth: coarse depth, completed by what was seen before and by the cells around.
+//! Dense depth: coarse depth, completed by what was seen before, by the cells around, and by the scan of the safety LiDAR.
 //!
 //! Every cell of 4x4 pixels takes the more probable of coarse depth of this frame and the depth that the voxel map recalls
 //! (`voxel_map.rs`); where both agree, the probability rises. A cell for which neither is more probable than 50 % is filled from the
-//! cells around it (`fill.rs`).
+//! cells around it (`fill.rs`). Last, a cell takes the wall or the floor that the scan promises (`walls.rs`) where that is more probable.
 //!
-//! The map does not use recalled and filled depth: it knows already what was seen before, and a filled cell was never seen.
+//! The map uses none of this but coarse depth: it knows already what was seen before and what the scanner hit, and a filled cell was
+//! never seen.
 
-use hal::{CameraModel, Pose2, Pose3};
+use hal::{CameraModel, LaserScan, Pose2, Pose3};
 
 use super::DepthEstimate;
 use super::belief::{AGREEMENT, Belief};
@@ -17,6 +18,8 @@ use super::fill::{Fill, Filled};
 use super::surround::{Surround, Surroundings};
 use super::upsample::Cells;
 use super::voxel_map::{Seen, VoxelMap};
+use super::wall_agreement::WallAgreement;
+use super::walls::{Wall, Walls};
 use crate::snapshot::remembers;
 
 /// A cell with a lower probability than this is filled from the cells around it, and does not fill others.
@@ -33,6 +36,34 @@ pub struct Candidates {
     pub recalled: (Belief, Surround, f32),
     /// Filled depth.
     pub filled: Filled,
+    /// What would be chosen without walls: inverse depth and its probability.
+    pub without_walls: (f32, f32),
+    /// What the scan tells, and the share of the cells around that agree with their walls.
+    pub wall: (Wall, f32),
+}
+
+/// Where and when a frame was taken.
+#[derive(Debug, Clone, Copy)]
+pub struct Moment {
+    /// Time of the frame, monotonic.
+    pub time_ns: u64,
+    /// Pose of the base at the exposure in `odom`.
+    pub t_odom_base: Pose2,
+    /// Pose of `odom` in `map`.
+    pub t_map_odom: Pose2,
+    /// The section of the path that the robot is in; a closed loop moves what was seen in a section together
+    /// (`DenseDepth::correct`). `None`: the robot doubts its pose, and nothing is learnt.
+    pub section: Option<u16>,
+}
+
+impl Moment {
+    /// A frame of a camera that is not on a robot: there are no scans, and `odom` is `map`.
+    pub const HANDHELD: Self = Self {
+        time_ns: 0,
+        t_odom_base: Pose2::IDENTITY,
+        t_map_odom: Pose2::IDENTITY,
+        section: Some(0),
+    };
 }
 
 /// Completes coarse depth.
@@ -43,6 +74,8 @@ pub struct DenseDepth {
     cells: CameraModel,
     voxels: VoxelMap,
     fill: Fill,
+    walls: Walls,
+    wall_agreement: WallAgreement,
     /// `t_map_camera` of the last frame that was learnt.
     learnt_at: Option<Pose3>,
     around_recalled: Surroundings,
@@ -50,13 +83,17 @@ pub struct DenseDepth {
     recalled: Vec<f32>,
     joined: Vec<Belief>,
     confidence: Vec<f32>,
+    /// What is chosen without walls: inverse depth and its probability.
+    without_walls: Vec<(f32, f32)>,
+    /// Probability of coarse depth where no wall contradicts it.
+    learnable: Vec<f32>,
     grey: Vec<u16>,
     estimate: DepthEstimate,
 }
 
 impl DenseDepth {
     /// Prepares to complete `coarse`, the depth of frames of `camera`. `t_base_camera` is the camera's mount on a robot that stands on
-    /// a floor; without it, rows that were never seen have no depth.
+    /// a floor; without it, rows that were never seen have no depth, and scans are not used.
     #[must_use]
     pub fn new(
         config: DenseConfig,
@@ -66,8 +103,11 @@ impl DenseDepth {
     ) -> Self {
         let cells = *coarse.cell_camera();
         let count = cells.width * cells.height;
+        let walls = t_base_camera.filter(|_| config.walls);
         Self {
             config,
+            walls: walls.map_or_else(Walls::default, |mount| Walls::new(&cells, mount)),
+            wall_agreement: WallAgreement::default(),
             voxels: VoxelMap::default(),
             fill: t_base_camera.map_or_else(Fill::default, |mount| Fill::on_a_floor(&cells, mount)),
             learnt_at: None,
@@ -76,24 +116,32 @@ impl DenseDepth {
             recalled: vec![0.0; count],
             joined: vec![Belief::default(); count],
             confidence: vec![0.0; count],
+            without_walls: Vec::new(),
+            learnable: vec![0.0; count],
             grey: vec![0; count],
             estimate: DepthEstimate::none(camera.width, camera.height),
             cells,
         }
     }
 
-    /// Completes the last frame of `coarse`, which must have been a frame with texture. `section` is the section of the path that
-    /// the robot is in; a closed loop moves what was seen in a section together (`correct`). `None`: the robot
-    /// doubts its pose, and nothing is learnt.
-    pub fn complete(&mut self, coarse: &CoarseDepth, t_map_odom: &Pose2, section: Option<u16>) {
-        rayon::scope(|_| self.complete_in_pool(&coarse.seen(), t_map_odom, section));
+    /// Uses `scan`, which was taken at `t_odom_laser`, for the frames of the next 0.3 s.
+    pub fn see(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) {
+        self.walls.see(scan, t_odom_laser);
     }
 
-    fn complete_in_pool(&mut self, seen: &SeenCells<'_>, t_map_odom: &Pose2, section: Option<u16>) {
-        let t_map_camera = t_map_odom.to_pose3() * seen.pose;
+    /// Completes the last frame of `coarse`, which must have been a frame with texture and was taken at `moment`.
+    pub fn complete(&mut self, coarse: &CoarseDepth, moment: &Moment) {
+        rayon::scope(|_| self.complete_in_pool(&coarse.seen(), moment));
+    }
+
+    fn complete_in_pool(&mut self, seen: &SeenCells<'_>, moment: &Moment) {
+        let t_map_camera = moment.t_map_odom.to_pose3() * seen.pose;
         self.choose(seen, &t_map_camera);
+        let walls = self.walls.look(&moment.t_odom_base, moment.time_ns);
+        self.wall_agreement.update(walls, &self.joined, &self.confidence, self.cells.width);
         self.fill_holes(seen);
-        if let Some(section) = section {
+        self.join_walls();
+        if let Some(section) = moment.section {
             self.learn(seen, t_map_camera, section);
         }
         let cells = Cells {
@@ -118,8 +166,18 @@ impl DenseDepth {
         let recalled =
             recalled.zip(&self.recalled).map(|((belief, around), p)| (*belief, *around, *p));
         let filled = self.fill.last().iter().copied();
-        let all = self.coarse.iter().zip(recalled).zip(filled);
-        all.map(|((coarse, recalled), filled)| Candidates { coarse: *coarse, recalled, filled })
+        let walls =
+            self.walls.last().iter().copied().zip(self.wall_agreement.last().iter().copied());
+        let walls = walls.chain(std::iter::repeat(Default::default()));
+        let first = self.coarse.iter().zip(recalled).zip(filled);
+        let all = first.zip(&self.without_walls).zip(walls);
+        all.map(|((((coarse, recalled), filled), without_walls), wall)| Candidates {
+            coarse: *coarse,
+            recalled,
+            filled,
+            without_walls: *without_walls,
+            wall,
+        })
     }
 
     /// Moves what was seen in each section after a loop was closed: `new = correction * old`, in the frame `map`.
@@ -142,6 +200,7 @@ impl DenseDepth {
                 0.0
             };
             self.coarse[cell] = (coarse, p_coarse);
+            self.learnable[cell] = p_coarse;
             self.recalled[cell] = p_old;
             let (belief, confidence) =
                 if p_coarse >= p_old { (coarse, p_coarse) } else { (old, p_old) };
@@ -175,6 +234,35 @@ impl DenseDepth {
         }
     }
 
+    /// Takes the wall or the floor that the scan promises for every cell for which it is more probable.
+    fn join_walls(&mut self) {
+        let known = self.joined.iter().map(|belief| belief.inverse_depth);
+        self.without_walls.clear();
+        self.without_walls.extend(known.zip(self.confidence.iter().copied()));
+        let walls = self.walls.last().iter().zip(self.wall_agreement.last());
+        let walls = walls.map(|(wall, share)| (*wall, *share)).enumerate();
+        for (cell, wall) in walls.filter(|(_, (wall, _))| wall.inverse_depth > 0.0) {
+            let p_wall = self.config.of_wall(&wall);
+            let (old, p_old) = self.without_walls[cell];
+            let wall = wall.0;
+            let weights = match self.fill.last()[cell].is_seen() {
+                true => &self.config.seen_wall_weights,
+                false => &self.config.filled_wall_weights,
+            };
+            let agree_with_coarse = agree(self.coarse[cell].0.inverse_depth, wall.inverse_depth);
+            let agree = agree(old, wall.inverse_depth);
+            let features = joint_features(p_old.max(p_wall), p_old.min(p_wall), agree);
+            self.confidence[cell] = logistic(weights, &features).max(LEAST);
+            if p_wall > p_old {
+                self.joined[cell].inverse_depth = wall.inverse_depth;
+                // The blank wall of a kitchen would otherwise be recalled wherever coarse depth once found it by mistake.
+                if !agree_with_coarse {
+                    self.learnable[cell] = 0.0;
+                }
+            }
+        }
+    }
+
     /// Puts a matched frame into the voxel map when the robot has moved.
     fn learn(&mut self, seen: &SeenCells<'_>, t_map_camera: Pose3, section: u16) {
         let has_moved = self.learnt_at.is_none_or(|at| {
@@ -187,11 +275,19 @@ impl DenseDepth {
         self.learnt_at = Some(t_map_camera);
         let seen = Seen {
             beliefs: seen.beliefs,
-            confidence: seen.confidence,
+            confidence: &self.learnable,
             around: seen.surroundings,
             min_confidence: self.config.learn_confidence,
         };
         self.voxels.learn(seen, &t_map_camera, &self.cells, section);
+    }
+}
+
+impl DenseConfig {
+    /// Probability of a wall or a floor that a scan promises, with the share of the cells around it that agree with theirs.
+    #[must_use]
+    pub fn of_wall(&self, (wall, share): &(Wall, f32)) -> f32 {
+        logistic(&self.wall_weights, &wall.features(*share))
     }
 }
 
@@ -210,14 +306,14 @@ pub fn joint_features(confidence: f32, other: f32, agree: bool) -> [f32; 5] {
     [1.0, logit(confidence), for_it, against, f32::from(u8::from(agree))]
 }
 
-remembers!(DenseDepth: voxels, fill, learnt_at);
+remembers!(DenseDepth: voxels, fill, walls, wall_agreement, learnt_at);
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::perception::CoarseConfig;
     use crate::perception::test_scene::{depth_m, pose, render};
-    use hal::{ImageView, PixelFormat};
+    use hal::{ImageView, PixelFormat, Range, ScanGeometry, camera_mount};
 
     fn camera() -> CameraModel {
         CameraModel::pinhole(320, 96, std::f64::consts::FRAC_PI_2)
@@ -230,9 +326,30 @@ mod tests {
     }
 
     impl Robot {
+        /// A camera that is not on a robot.
         fn new() -> Self {
             let coarse = CoarseDepth::new(CoarseConfig::default(), camera()).unwrap();
             let dense = DenseDepth::new(DenseConfig::default(), &camera(), &coarse, None);
+            Self { coarse, dense, section: Some(0) }
+        }
+
+        /// A camera on a robot whose scanner is below it and sees a wall that crosses the optical axis at `wall_m`, with the slope
+        /// of the test scene.
+        fn with_scanner(config: DenseConfig, wall_m: f64) -> Self {
+            let coarse = CoarseDepth::new(CoarseConfig::default(), camera()).unwrap();
+            let mount = camera_mount(0.0, 0.8, 0.0);
+            let mut dense = DenseDepth::new(config, &camera(), &coarse, Some(&mount));
+            let geometry = ScanGeometry::UTM_30LX;
+            let mut scan = LaserScan::empty(geometry);
+            scan.ranges = (0..geometry.beams)
+                .map(|beam| {
+                    let angle = geometry.angle_rad(beam);
+                    // The test scene's x points to the right, the scanner's y to the left.
+                    let range_m = wall_m / (angle.cos() + 0.3 * angle.sin());
+                    if angle.abs() < 1.2 { Range::Hit(range_m as f32) } else { Range::NoReturn }
+                })
+                .collect();
+            dense.see(&scan, &Pose2::IDENTITY);
             Self { coarse, dense, section: Some(0) }
         }
 
@@ -241,7 +358,8 @@ mod tests {
             let image = render(&camera(), at, 1.0, 0.0);
             let frame = ImageView::new(320, 96, PixelFormat::Gray8, &image).unwrap();
             let has_coarse = self.coarse.estimate(frame, at).is_ok();
-            self.dense.complete(&self.coarse, &Pose2::IDENTITY, self.section);
+            let moment = Moment { section: self.section, ..Moment::HANDHELD };
+            self.dense.complete(&self.coarse, &moment);
             has_coarse
         }
 
@@ -308,6 +426,28 @@ mod tests {
         assert!(!robot.look(&pose([0.0; 3], 0.0)));
         assert!(robot.dense.last().confidence.iter().all(|p| *p == 0.0));
         assert!(robot.dense.last().depth.values().iter().all(|depth| *depth == 0.0));
+    }
+
+    #[test]
+    fn a_robot_that_has_not_moved_has_the_depth_of_the_walls_that_its_scanner_sees() {
+        let at = pose([0.0; 3], 0.0);
+        let mut robot = Robot::with_scanner(DenseConfig::default(), 2.5);
+        assert!(!robot.look(&at));
+        assert!(robot.right(&at) > 0.99, "{}", robot.right(&at));
+        assert!(robot.dense.last().confidence.iter().all(|p| *p > 0.5));
+        let mut without =
+            Robot::with_scanner(DenseConfig { walls: false, ..DenseConfig::default() }, 2.5);
+        without.look(&at);
+        assert!(without.dense.last().confidence.iter().all(|p| *p < 0.5));
+    }
+
+    #[test]
+    fn depth_that_was_seen_wins_against_a_wall_behind_it() {
+        // The scanner sees a wall at 4 m below a surface at 2.5 m.
+        let mut robot = Robot::with_scanner(DenseConfig::default(), 4.0);
+        drive(&mut robot);
+        let right = robot.right(&pose([0.45, 0.0, 0.0], 0.0));
+        assert!(right > 0.95, "{right}");
     }
 
     #[test]

@@ -36,6 +36,12 @@ pub struct Filled {
 }
 
 impl Filled {
+    /// Whether this is not a filled cell, but one that was seen.
+    #[must_use]
+    pub fn is_seen(&self) -> bool {
+        self.inverse_depth > 0.0 && self.cost == 0.0
+    }
+
     /// The features of the probability that it is right: a constant, the logarithm of the cost, and the spread.
     #[must_use]
     pub fn features(&self) -> [f32; 3] {

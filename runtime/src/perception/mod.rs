@@ -12,7 +12,7 @@
 //! - **Evidence**: the strength of a belief, the sum of the confidence of agreeing votes less that of contradicting ones.
 //! - **Confidence**: the probability that a vote, a belief or a depth is right, that is, within 25 % of the true depth.
 //! - **Voxel map**: sparse memory of the surfaces that were seen with confidence; depth of any view is *recalled* from it.
-//! - **Dense depth**: coarse depth, completed by recalled depth and by filling ([`DenseDepth`]).
+//! - **Dense depth**: coarse depth, completed by recalled depth, by filling and by walls above the hits of the scanner ([`DenseDepth`]).
 //! - **Motion mask**: the cells whose content moves relative to the static scene; they get no depth.
 
 mod aggregate;
@@ -39,12 +39,14 @@ mod sweep;
 mod test_scene;
 mod upsample;
 mod voxel_map;
+mod wall_agreement;
+pub mod walls;
 mod wta;
 
 pub use belief::Belief;
 pub use coarse::CoarseDepth;
 pub use config::{CoarseConfig, DenseConfig, PerceptionError};
-pub use dense::DenseDepth;
+pub use dense::{DenseDepth, Moment};
 pub use estimate::{DepthEstimate, NoDepth};
 pub use network::{DepthNetwork, InputKind, NetworkError, NetworkOptions, Provider};
 pub use rotation_filter::YawError;

@@ -23,8 +23,8 @@ use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
 use crate::localization::{LocalizationConfig, LocalizationError, Whereabouts};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{
-    CoarseConfig, CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, NoDepth,
-    PerceptionError,
+    CoarseConfig, CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, Moment,
+    NoDepth, PerceptionError,
 };
 use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
@@ -47,6 +47,8 @@ pub use saved_map::{MAP_STATE_VERSION, MapStateError, SavedMap};
 pub enum DepthSource {
     /// Triangulated from known ego-motion; needs no model.
     Coarse,
+    /// Coarse depth, completed by what was seen before, by filling and by the walls that the scanner sees. An experiment.
+    Dense,
     /// The depth network.
     Network,
     /// Ground truth: only to test mapping, planning and policies apart from depth.
@@ -55,13 +57,14 @@ pub enum DepthSource {
 
 impl DepthSource {
     /// Every source.
-    pub const ALL: [Self; 3] = [Self::Coarse, Self::Network, Self::Truth];
+    pub const ALL: [Self; 4] = [Self::Coarse, Self::Dense, Self::Network, Self::Truth];
 
     /// The name on the command line, in the summary and in recordings.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Coarse => "coarse",
+            Self::Dense => "dense",
             Self::Network => "network",
             Self::Truth => "truth",
         }
@@ -339,6 +342,9 @@ impl Robot {
         self.localize(input, scan, &mut events);
         self.note_blocked(input);
         let t_odom_camera = self.poses.t_odom_base_at_frame.to_pose3() * self.config.t_base_camera;
+        if let Some(scan) = scan {
+            self.dense.see(scan, &self.poses.t_odom_base_at_scan.compose(&self.t_base_laser()));
+        }
         self.estimate_depth(input, &t_odom_camera, &mut events, timer);
         self.find_camera_time(input);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
@@ -419,7 +425,7 @@ impl Robot {
         let coarse = self.coarse.estimate(frame, t_odom_camera).map(|_| ());
         timer.ended(Stage::Coarse);
         self.has_depth.coarse = coarse.is_ok();
-        self.has_depth.dense = self.complete(coarse);
+        self.has_depth.dense = self.complete(input.wheel.time_ns, coarse);
         timer.ended(Stage::Dense);
         if let Some(network) = &mut self.network {
             let coarse = self.has_depth.coarse.then(|| self.coarse.last());
@@ -435,13 +441,18 @@ impl Robot {
     }
 
     /// Completes this frame's coarse depth, or its lack of parallax. Whether there is dense depth.
-    fn complete(&mut self, coarse: Result<(), NoDepth>) -> bool {
+    fn complete(&mut self, time_ns: u64, coarse: Result<(), NoDepth>) -> bool {
         let has_image = coarse.map_or_else(NoDepth::has_image, |()| true);
         let completes = has_image && self.config.dense.enabled;
         if completes {
             let is_sure = self.whereabouts == Whereabouts::Localized;
-            let section = is_sure.then(|| self.map.section());
-            self.dense.complete(&self.coarse, &self.poses.t_map_odom, section);
+            let moment = Moment {
+                time_ns,
+                t_odom_base: self.poses.t_odom_base_at_frame,
+                t_map_odom: self.poses.t_map_odom,
+                section: is_sure.then(|| self.map.section()),
+            };
+            self.dense.complete(&self.coarse, &moment);
         }
         completes
     }
@@ -478,8 +489,18 @@ impl Robot {
     pub fn mapped_depth(&self) -> Option<&DepthEstimate> {
         match self.config.depth_source {
             DepthSource::Coarse => self.coarse_depth(),
+            DepthSource::Dense => self.dense_depth(),
             DepthSource::Network => self.network_depth(),
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
+        }
+    }
+
+    /// The depth of this tick that can be compared with the LiDAR: dense depth cannot, because it was made with the scan.
+    #[must_use]
+    pub fn compared_depth(&self) -> Option<&DepthEstimate> {
+        match self.config.depth_source {
+            DepthSource::Dense => self.coarse_depth(),
+            _ => self.mapped_depth(),
         }
     }
 
@@ -517,6 +538,10 @@ impl Robot {
         self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
     }
 
+    fn t_base_laser(&self) -> Pose2 {
+        Pose2::new(self.config.laser_forward_m, 0.0, 0.0)
+    }
+
     fn update_map(&mut self, scan: Option<&LaserScan>) {
         let t_map_base = self.poses.t_map_base();
         let t_map_camera = self.poses.t_map_base_at_frame().to_pose3() * self.config.t_base_camera;
@@ -527,6 +552,7 @@ impl Robot {
         // The body of `mapped_depth`, repeated so that the borrow checker sees that `self.map` is not borrowed.
         let depth = match self.config.depth_source {
             DepthSource::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
+            DepthSource::Dense => self.has_depth.dense.then(|| self.dense.last()),
             DepthSource::Network => {
                 self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
             }
@@ -539,7 +565,7 @@ impl Robot {
             remember_frame_map(&mut self.frame_maps, newest, gap);
         }
         if let Some(scan) = scan {
-            let t_base_laser = Pose2::new(self.config.laser_forward_m, 0.0, 0.0);
+            let t_base_laser = self.t_base_laser();
             let t_map_scan = self.poses.t_map_odom.compose(&self.poses.t_odom_base_at_scan);
             let _ = self.map.integrate_scan(scan, &t_map_scan.compose(&t_base_laser));
         }

@@ -1,7 +1,7 @@
 //! Fits the probabilities of dense depth.
 
 use anyhow::Result;
-use hal::{CameraModel, ImageView, Pose2};
+use hal::{CameraModel, ImageView};
 use runtime::perception::confidence::belief_features;
 use runtime::perception::dense::{Candidates, agree, joint_features};
 use runtime::perception::{CoarseConfig, CoarseDepth, DenseConfig, DenseDepth};
@@ -41,7 +41,33 @@ pub fn fit(
         let is_hole = cell.coarse.1.max(cell.recalled.2) < 0.5 && cell.filled.inverse_depth > 0.0;
         is_hole.then(|| (cell.filled.features(), is_right(cell.filled.inverse_depth)))
     })?;
+    dense.wall_weights = fit_part(sequences, coarse, &dense, |cell, is_right| {
+        let (wall, share) = cell.wall;
+        let is_known = wall.inverse_depth > 0.0;
+        is_known.then(|| (wall.features(share), is_right(wall.inverse_depth)))
+    })?;
+    dense.seen_wall_weights = fit_walls(sequences, coarse, &dense, true)?;
+    dense.filled_wall_weights = fit_walls(sequences, coarse, &dense, false)?;
     Ok(dense)
+}
+
+/// The weights of walls beside depth that was seen, or beside depth that was filled.
+fn fit_walls(
+    sequences: &[Sequence],
+    coarse: &CoarseConfig,
+    dense: &DenseConfig,
+    seen: bool,
+) -> Result<[f32; 5]> {
+    fit_part(sequences, coarse, dense, |cell, is_right| {
+        let (inverse_depth, p) = cell.without_walls;
+        let (wall, p_wall) = (cell.wall.0, dense.of_wall(&cell.wall));
+        let counts = cell.filled.is_seen() == seen && wall.inverse_depth > 0.0 && p > 0.0;
+        counts.then(|| {
+            let agree = agree(inverse_depth, wall.inverse_depth);
+            let chosen = if p_wall > p { wall.inverse_depth } else { inverse_depth };
+            (joint_features(p.max(p_wall), p.min(p_wall), agree), is_right(chosen))
+        })
+    })
 }
 
 type IsRight<'a> = &'a dyn Fn(f32) -> bool;
@@ -80,7 +106,10 @@ fn samples<const N: usize>(
         if engine.estimate(frame, &pose).is_err_and(|why| !why.has_image()) {
             continue;
         }
-        dense.complete(&engine, &Pose2::IDENTITY, Some(0));
+        if let Some((scan, t_odom_laser)) = &view.scan {
+            dense.see(scan, t_odom_laser);
+        }
+        dense.complete(&engine, &view.moment);
         let Some(truth) = &view.truth else { continue };
         // Neighbouring cells are correlated: every seventeenth is enough.
         for (cell, candidates) in dense.candidates().enumerate().skip(index % 17).step_by(17) {

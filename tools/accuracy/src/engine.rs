@@ -1,17 +1,18 @@
-//! The compared methods: coarse depth, and the paper's method with two kinds of flow.
+//! The compared methods: coarse and dense depth, a scan without a camera, and the paper's method with two kinds of flow.
 
 use std::collections::VecDeque;
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use firmware_host::config::Config;
-use hal::{CameraModel, ImageView, Pose2, Pose3};
+use hal::{CameraModel, ImageView, Pose3};
 use runtime::perception::flow::{DenseFlow, FlowPreset};
+use runtime::perception::walls::Walls;
 use runtime::perception::{CoarseDepth, DenseDepth, DepthEstimate};
 
 use crate::flow_network::FlowNetwork;
 use crate::least_squares::{FlowView, triangulate};
-use crate::sequence::Sequence;
+use crate::sequence::{Sequence, View};
 
 /// The paper computes flow from each frame to the fifth before it.
 const GAP: usize = 5;
@@ -26,8 +27,8 @@ const BEARING_ERROR_RAD: f32 = 0.0016;
 pub trait Engine {
     /// Its name in the table.
     fn name(&self) -> String;
-    /// Processes the next frame. Its depth is computed only if `evaluated`; otherwise it only serves later frames. `None` for
-    /// a frame without depth.
+    /// Processes the next frame, which is of `view` and disturbed. Its depth is computed only if `evaluated`; otherwise it only
+    /// serves later frames. `None` for a frame without depth.
     ///
     /// # Errors
     /// When the method fails altogether.
@@ -35,6 +36,7 @@ pub trait Engine {
         &mut self,
         frame: ImageView<'_>,
         pose: &Pose3,
+        view: &View,
         evaluated: bool,
     ) -> Result<Option<DepthEstimate>>;
 }
@@ -62,6 +64,7 @@ impl Engine for Coarse {
         &mut self,
         frame: ImageView<'_>,
         pose: &Pose3,
+        _view: &View,
         _evaluated: bool,
     ) -> Result<Option<DepthEstimate>> {
         Ok(self.engine.estimate(frame, pose).ok().cloned())
@@ -96,13 +99,69 @@ impl Engine for Dense {
         &mut self,
         frame: ImageView<'_>,
         pose: &Pose3,
+        view: &View,
         _evaluated: bool,
     ) -> Result<Option<DepthEstimate>> {
+        if let Some((scan, t_odom_laser)) = &view.scan {
+            self.dense.see(scan, t_odom_laser);
+        }
         match self.coarse.estimate(frame, pose) {
             Err(why) if !why.has_image() => return Ok(None),
-            _ => self.dense.complete(&self.coarse, &Pose2::IDENTITY, Some(0)),
+            _ => self.dense.complete(&self.coarse, &view.moment),
         }
         Ok(Some(self.dense.last().clone()))
+    }
+}
+
+/// A baseline without a camera: floor before the hits of the scanner, and a wall above them.
+pub struct ScanAlone {
+    camera: CameraModel,
+    cells: CameraModel,
+    walls: Walls,
+}
+
+impl ScanAlone {
+    /// # Errors
+    /// When a setting is out of range.
+    pub fn new(config: &Config, sequence: &Sequence) -> Result<Self> {
+        let camera = sequence.camera;
+        let cells = *CoarseDepth::new(config.coarse.clone(), camera)?.cell_camera();
+        let walls = sequence.mount.as_ref().map(|mount| Walls::new(&cells, mount));
+        Ok(Self { camera, cells, walls: walls.unwrap_or_default() })
+    }
+}
+
+impl Engine for ScanAlone {
+    fn name(&self) -> String {
+        "scan alone".to_owned()
+    }
+
+    fn process(
+        &mut self,
+        _frame: ImageView<'_>,
+        _pose: &Pose3,
+        view: &View,
+        _evaluated: bool,
+    ) -> Result<Option<DepthEstimate>> {
+        let Some((scan, t_odom_laser)) = &view.scan else { return Ok(None) };
+        self.walls.see(scan, t_odom_laser);
+        let walls = self.walls.look(&view.moment.t_odom_base, view.moment.time_ns);
+        let mut found = DepthEstimate::none(self.camera.width, self.camera.height);
+        if walls.is_empty() {
+            return Ok(None);
+        }
+        let pixels_per_cell = self.camera.width / self.cells.width;
+        let depths = found.depth.values_mut().iter_mut().zip(&mut found.confidence);
+        for (pixel, (depth_m, confidence)) in depths.enumerate() {
+            let row = pixel / self.camera.width / pixels_per_cell;
+            let column = pixel % self.camera.width / pixels_per_cell;
+            let inverse_depth = walls[row * self.cells.width + column].inverse_depth;
+            if inverse_depth > 0.0 {
+                *depth_m = 1.0 / inverse_depth;
+                *confidence = 0.5;
+            }
+        }
+        Ok(Some(found))
     }
 }
 
@@ -157,6 +216,7 @@ impl Engine for FlowDepth {
         &mut self,
         frame: ImageView<'_>,
         pose: &Pose3,
+        _view: &View,
         evaluated: bool,
     ) -> Result<Option<DepthEstimate>> {
         let mut found = None;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use accuracy::dense_fit;
 use accuracy::disturbance::Disturbance;
-use accuracy::engine::{Coarse, Dense, Engine, FlowDepth};
+use accuracy::engine::{Coarse, Dense, Engine, FlowDepth, ScanAlone};
 use accuracy::fit::Samples;
 use accuracy::measure::{Outcome, measure};
 use accuracy::sequence::{Motion, Sequence, recorded, simulated};
@@ -90,6 +90,12 @@ fn main() -> Result<()> {
         compare(&options, &sequences, None, |sequence| {
             let name = if options.configs.is_empty() { "dense" } else { name };
             Ok(Box::new(Dense::new(name, config, sequence)?))
+        })?;
+    }
+    if sequences.iter().any(|sequence| sequence.mount.is_some()) {
+        let config = &configs[0].1;
+        compare(&options, &sequences, None, |sequence| {
+            Ok(Box::new(ScanAlone::new(config, sequence)?))
         })?;
     }
     if options.search {
@@ -180,6 +186,9 @@ fn fit_dense(sequences: &[Sequence], coarse: &CoarseConfig, dense: &DenseConfig)
     println!("[dense]\nrecall_weights = {:.2?}", dense.recall_weights);
     println!("joint_weights = {:.2?}", dense.joint_weights);
     println!("fill_weights = {:.2?}", dense.fill_weights);
+    println!("wall_weights = {:.2?}", dense.wall_weights);
+    println!("seen_wall_weights = {:.2?}", dense.seen_wall_weights);
+    println!("filled_wall_weights = {:.2?}", dense.filled_wall_weights);
     Ok(())
 }
 

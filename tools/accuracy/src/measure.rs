@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Result;
-use firmware_host::report::depth_sample::{SheetRow, SheetSampler};
+use firmware_host::report::depth_sample::{FrameDepths, SheetRow, SheetSampler};
 use firmware_host::report::depth_scale::DepthScale;
 use firmware_host::report::depth_sheet::{DEPTH_FILE, DepthSheet};
 use hal::ImageView;
@@ -149,7 +149,7 @@ pub fn measure(
         let frame = ImageView::rgb8(sequence.camera.width, sequence.camera.height, &rgb)?;
         let began = Instant::now();
         let evaluated = index.is_multiple_of(every);
-        let found = engine.process(frame, &pose, evaluated)?;
+        let found = engine.process(frame, &pose, view, evaluated)?;
         if !evaluated {
             continue;
         }
@@ -162,7 +162,12 @@ pub fn measure(
         }
         let depths = usize::from(found.is_some());
         sampler.offer(index as u64, depths, || {
-            SheetRow::capture(index as u64, &frame, found.as_ref(), None, Some(truth))
+            let depths = FrameDepths {
+                coarse: found.as_ref(),
+                truth: Some(truth),
+                ..FrameDepths::default()
+            };
+            SheetRow::capture(index as u64, &frame, &depths)
         });
     }
     seconds.sort_by(f64::total_cmp);

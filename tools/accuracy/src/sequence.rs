@@ -9,9 +9,11 @@ use firmware_host::dataset::Dataset;
 use firmware_host::setup::Mission;
 use firmware_host::simulation;
 use hal::{
-    Base, Camera, CameraModel, DepthMap, DriveCommand, ErrorType, Pose3, Twist2, WheelFeedback,
+    Base, Camera, CameraModel, DepthMap, DriveCommand, ErrorType, LaserScan, Pose2, Pose3, Twist2,
+    WheelFeedback,
 };
 use runtime::exploration::PolicyKind;
+use runtime::perception::Moment;
 use runtime::robot::{DepthSource, Robot, Stage, StageTimer};
 use runtime::safety::{Request, SafetyLoop};
 use runtime::session::{Observer, Session, VirtualDevices, VirtualTime, safety_link};
@@ -27,6 +29,10 @@ pub struct View {
     pub truth: Option<DepthMap>,
     /// Ground truth of `t_odom_camera`.
     pub t_odom_camera: Pose3,
+    /// The scan of the frame's tick and `t_odom_laser` when it was taken.
+    pub scan: Option<(LaserScan, Pose2)>,
+    /// Where and when the frame was taken, for dense depth.
+    pub moment: Moment,
 }
 
 /// Frames in the order in which they were taken.
@@ -112,7 +118,12 @@ pub fn simulated(
     let devices = VirtualDevices::new(time, devices.camera)
         .with_ground_truth(move |depth| truth.depth(depth));
     let truth = simulated.devices().truth;
-    let mut views = Views { views: Vec::new(), truth, mount: config.camera.mount() };
+    let mut views = Views {
+        views: Vec::new(),
+        truth,
+        mount: config.camera.mount(),
+        t_base_laser: Pose2::new(config.lidar.forward_m, 0.0, 0.0),
+    };
     let mut session = Session::new(devices, robot, port, config.base.tick_ns());
     for _ in 0..frames {
         session.wait();
@@ -153,6 +164,7 @@ struct Views {
     views: Vec<View>,
     truth: Truth,
     mount: Pose3,
+    t_base_laser: Pose2,
 }
 
 impl StageTimer for Views {
@@ -173,10 +185,19 @@ impl Observer for Views {
         _decision: &Decision,
     ) -> Result<()> {
         let Some(frame) = &input.frame else { return Ok(()) };
+        let t_world_base = self.truth.pose();
+        let t_world_laser =
+            self.truth.t_world_odom().compose(&input.scan_odom).compose(&self.t_base_laser);
         self.views.push(View {
             rgb: frame.data().to_vec(),
             truth: input.truth.cloned(),
-            t_odom_camera: self.truth.pose().to_pose3() * self.mount,
+            t_odom_camera: t_world_base.to_pose3() * self.mount,
+            scan: input.scan.map(|scan| (scan.clone(), t_world_laser)),
+            moment: Moment {
+                time_ns: input.wheel.time_ns,
+                t_odom_base: t_world_base,
+                ..Moment::HANDHELD
+            },
         });
         Ok(())
     }
@@ -193,6 +214,8 @@ pub fn recorded(folder: &Path) -> Result<Sequence> {
         rgb: sample.rgb,
         truth: sample.truth,
         t_odom_camera: sample.t_world_camera,
+        scan: None,
+        moment: Moment::HANDHELD,
     };
     let views = dataset.samples().map(|sample| Ok(view(sample?))).collect::<Result<Vec<_>>>();
     let name = folder.file_name().context("a dataset needs a name")?.to_string_lossy().into_owned();

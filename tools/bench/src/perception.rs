@@ -1,12 +1,17 @@
-//! Coarse depth, and the metrics of its accuracy.
+//! Coarse and dense depth, and the metrics of their accuracy.
 
 use std::time::Instant;
 
-use hal::{CameraModel, DepthMap, ImageView, PixelFormat, Pose3};
+use hal::{
+    CameraModel, DepthMap, ImageView, LaserScan, PixelFormat, Pose2, Pose3, Range, ScanGeometry,
+    camera_mount,
+};
 use nalgebra::Point3;
 use runtime::accuracy::Accuracy;
 use runtime::imaging::{FrontEnd, YuvRange};
-use runtime::perception::{CoarseConfig, CoarseDepth, DepthEstimate};
+use runtime::perception::{
+    CoarseConfig, CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, Moment,
+};
 
 use crate::peers::PeerProcess;
 use crate::report::{Row, Timing, time};
@@ -55,6 +60,7 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
         );
         rows.push(drive.whole_row(direction_name)?);
     }
+    rows.push(Drive::new(camera, [1.0, 0.0, 0.0]).dense_row()?);
     rows.push(accuracy());
     Ok(rows)
 }
@@ -130,6 +136,38 @@ impl Drive {
         Ok(Timings { ours: Timing::of(ours), peer })
     }
 
+    /// Dense depth on top of coarse depth, with a scan of the wall, beside OpenCV's filling of holes.
+    fn dense_row(&self) -> anyhow::Result<Row> {
+        let size = [WIDTH.to_string(), HEIGHT.to_string()];
+        let mut peer = PeerProcess::start("opencv_inpaint.py", &[&size[0], &size[1]])?;
+        let mut coarse = CoarseDepth::new(CoarseConfig::default(), self.camera)?;
+        let mount = camera_mount(0.0, 0.8, 0.0);
+        let mut dense =
+            DenseDepth::new(DenseConfig::default(), &self.camera, &coarse, Some(&mount));
+        dense.see(&scan_of_wall(), &Pose2::IDENTITY);
+        let mut ours = Vec::new();
+        let mut theirs = Vec::new();
+        for (image, pose) in self.images.iter().zip(&self.path) {
+            let frame = ImageView::rgb8(WIDTH, HEIGHT, image)?;
+            if coarse.estimate(frame, pose).is_err() {
+                continue;
+            }
+            let began = Instant::now();
+            dense.complete(&coarse, &Moment::HANDHELD);
+            ours.push(began.elapsed().as_secs_f64());
+            if let Some(peer) = &mut peer {
+                theirs.push(peer.seconds("fill")?);
+            }
+        }
+        let name = "dense depth 640x192, after coarse depth";
+        let row = Row::seconds(AREA, name, Timing::of(ours)).goal(0.004, 0.0015);
+        let row = row.note("voxel map, filling, walls of the scan, learning, upsampling; the peer fills 30 % of the pixels");
+        Ok(match theirs.is_empty() {
+            true => row,
+            false => row.peer("OpenCV inpainting (Telea)", Timing::of(theirs).median),
+        })
+    }
+
     /// The 99th percentile from the camera's bytes to depth.
     fn whole_row(&self, name: &str) -> anyhow::Result<Row> {
         let mut seconds = self.whole()?;
@@ -159,6 +197,18 @@ impl Drive {
         anyhow::ensure!(!seconds.is_empty(), "no frame of the drive got depth");
         Ok(seconds)
     }
+}
+
+/// A scan of a wall 3 m ahead.
+fn scan_of_wall() -> LaserScan {
+    let geometry = ScanGeometry::UTM_30LX;
+    let mut scan = LaserScan::empty(geometry);
+    let ranges = (0..geometry.beams).map(|beam| match 3.0 / geometry.angle_rad(beam).cos() {
+        range_m if (0.0..30.0).contains(&range_m) => Range::Hit(range_m as f32),
+        _ => Range::NoReturn,
+    });
+    scan.ranges.extend(ranges);
+    scan
 }
 
 fn pose(direction: [f64; 3], index: u32) -> Pose3 {
