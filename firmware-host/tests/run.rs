@@ -439,6 +439,33 @@ fn the_safety_boards_emergency_stop_wins_and_survives_a_restart_of_the_program()
 }
 
 #[test]
+fn an_emergency_stop_on_an_input_line_wins_and_its_release_moves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = folder.path().join("line");
+    let set = |level: &str| {
+        // In one step, because the robot reads the file all the time.
+        std::fs::write(line.with_extension("new"), level).unwrap();
+        std::fs::rename(line.with_extension("new"), &line).unwrap();
+    };
+    set("0");
+    let more = format!("\n[devices.emergency_stop]\nchip = \"file:{}\"\n", line.display());
+    let mut scene = Scene::with(Protocol::Odrive, &more, &[]);
+    scene.drives_first();
+    set("1");
+    scene.needs_person("emergency stop");
+    assert!(scene.way_m() < 0.01 && scene.health().1.contains("pressed, or its wire is broken"));
+    scene.signal(Signal::USR1);
+    assert!(scene.way_m() < 0.01, "a pressed stop cannot be overruled");
+    set("0");
+    scene.stands_until_armed();
+    std::fs::remove_file(&line).unwrap();
+    scene.needs_person("must contain 0 or 1");
+    set("0");
+    scene.stands_until_armed();
+    scene.ends_well();
+}
+
+#[test]
 fn a_program_that_was_stopped_for_three_seconds_stands_when_it_continues() {
     let scene = Scene::new(Protocol::Odrive);
     scene.drives_first();

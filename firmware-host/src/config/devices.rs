@@ -2,6 +2,7 @@
 
 use drivers::can::BaseConfig;
 use drivers::lidar::LidarConfig;
+use drivers::stop_line::StopLineConfig;
 use drivers::v4l2::CameraDeviceConfig;
 use hal::{CameraModel, Distortion};
 use runtime::safety::{SafetyConfig, needs_second_scan};
@@ -50,6 +51,7 @@ hal::settings! {
         lens: LensSection;
         lidar: LidarConfig;
         base: BaseConfig;
+        emergency_stop: StopLineConfig;
     }
 }
 

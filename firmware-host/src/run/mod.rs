@@ -109,8 +109,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
         Pace { period_ns: config.safety_period_ns(), priority: config.run.realtime_priority };
     let wiring = config.clone();
     let wiring_faults = faults.clone();
-    let open = move || devices::open_scanner_and_base(&wiring, &wiring_faults);
-    let (mut safety, port, lidar) = SafetyThread::start(pace, open)?;
+    let open = move || devices::open_for_safety(&wiring, &wiring_faults);
+    let (mut safety, port, monitors) = SafetyThread::start(pace, open)?;
     let clock = FaultyClock::new(MonotonicClock, &faults);
     let devices = LiveDevices::new(&config, clock, camera)?;
     let models =
@@ -123,7 +123,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     exploration.log.live = view;
     let stop_file = StopFile::open(config.run.stop_file.as_ref());
     let operator = Operator::start(safety.panel.clone(), stop_file)?;
-    let mut supervision = Supervision::new(args, out, &config, lidar, &operator);
+    let mut supervision = Supervision::new(args, out, &config, monitors, &operator);
     if config.run.arm_at_start {
         match &operator.last_stop {
             None => safety.panel.arm(),
