@@ -466,6 +466,36 @@ fn an_emergency_stop_on_an_input_line_wins_and_its_release_moves_nothing() {
 }
 
 #[test]
+fn check_drive_measures_a_robot_in_a_home_and_leaves_its_motors_idle() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
+    let options = LiveOptions { camera, ..LiveOptions::default() };
+    let world = LiveWorld::start(folder.path(), &options).unwrap();
+    let measured = folder.path().join("commissioning.toml");
+    let began = Instant::now();
+    // A busy computer delays the simulated motors, which then count as silent.
+    while !measured.exists() {
+        let mut check = Command::cargo_bin("firmware-host").unwrap();
+        check.args(["check", "--drive", "--yes", "--config"]).arg(world.config());
+        let output = check.output().unwrap();
+        let said = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        assert!(began.elapsed() < PATIENCE, "never measured: {}", said.concat());
+        if measured.exists() {
+            for what in ["reaction time", "braking distance", "roll-out", "yaw of the LiDAR"] {
+                assert!(said[0].contains(what), "{}", said[0]);
+            }
+        }
+    }
+    let written: toml::Table = std::fs::read_to_string(measured).unwrap().parse().unwrap();
+    let metres = |key: &str| written[key].as_float().unwrap();
+    assert!((0.01..0.2).contains(&metres("braking_m")), "{written}");
+    assert!((0.01..0.3).contains(&metres("roll_out_m")), "{written}");
+    assert!(metres("lidar_yaw_deg").abs() < 5.0, "{written}");
+    assert!(world.wheels().iter().all(|node| !node.is_powered()), "the motors are released");
+    assert_eq!(world.home().score().0, 0, "it touched something");
+}
+
+#[test]
 fn a_program_that_was_stopped_for_three_seconds_stands_when_it_continues() {
     let scene = Scene::new(Protocol::Odrive);
     scene.drives_first();

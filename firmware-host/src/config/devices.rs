@@ -111,7 +111,8 @@ impl Config {
     }
 
     /// Time until an obstacle that appears just behind a beam of the configured scanner is known, seconds.
-    fn sight_s(&self) -> f64 {
+    #[must_use]
+    pub fn sight_s(&self) -> f64 {
         let lidar = &self.devices.lidar;
         f64::from(self.scans_until_seen()) * lidar.longest_period_s() + lidar.cable_s()
     }

@@ -20,6 +20,10 @@ pub mod status;
 mod stops_reference;
 mod supervision;
 
+pub(crate) use devices::open_for_safety;
+pub(crate) use instance_lock::InstanceLock;
+pub(crate) use supervision::words as state_words;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -48,7 +52,6 @@ use crate::report::summary::{CameraLatency, LidarLine, Summary, peak_resident_mi
 use crate::setup::{self, Mission};
 use crate::task::TaskFile;
 use exploration::{Exploration, RunLog};
-use instance_lock::InstanceLock;
 use last_stop::StopFile;
 use live_devices::LiveDevices;
 use operator::Operator;

@@ -235,7 +235,8 @@ fn no_bus(bus: &str) -> String {
     )
 }
 
-fn words(state: &SafetyState) -> String {
+/// The state's name; for a fault, its reason as well.
+pub fn words(state: &SafetyState) -> String {
     match state {
         SafetyState::Fault(why) => format!("fault: {}", fault_reason(*why)),
         state => state.name().to_owned(),
