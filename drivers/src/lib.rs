@@ -7,6 +7,7 @@
 //! * [`rplidar`] and [`ld06`] are protocols and drivers of scanners that rotate slowly; [`rotary`] is
 //!   what they share. [`lidar`] is whichever scanner the configuration names.
 //! * [`v4l2`] is the driver for cameras of Linux's Video4Linux2.
+//! * [`stop_line`] reads an emergency stop on an input line of the computer.
 //! * [`fault`] wraps any device and injects faults, for tests and simulated runs.
 //!
 //! Protocols are sans-I/O codecs: the caller reads and writes the bytes and passes in the time.
@@ -23,6 +24,7 @@ pub mod rplidar;
 mod scanner;
 pub mod scip;
 pub mod status;
+pub mod stop_line;
 pub mod v4l2;
 
 pub use scanner::{

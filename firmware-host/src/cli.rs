@@ -476,6 +476,16 @@ pub struct CheckArgs {
     /// No motor is armed and nothing moves.
     #[arg(long, requires = "config")]
     pub devices: bool,
+    /// Drive a short course on the floor and compare what is measured with what the safety plane
+    /// assumes: reaction time, braking distance, roll-out without commands, wheels, and the
+    /// scanner's yaw. Exits with 1 if a measured number is worse.
+    ///
+    /// The robot moves by up to 0.5 m. A person has to stand beside it.
+    #[arg(long, requires = "config", conflicts_with = "devices")]
+    pub drive: bool,
+    /// With --drive: do not ask before the robot moves.
+    #[arg(long, requires = "drive")]
+    pub yes: bool,
 }
 
 /// Arguments of `firmware-host camera-latency`.

@@ -76,6 +76,9 @@ fn screen(status: &Status, now_unix_s: f64, columns: Option<usize>) -> String {
     if let Some(power) = power(&status.power) {
         let _ = writeln!(out, "power        {power}");
     }
+    if let Some(line) = &status.stop_line {
+        let _ = writeln!(out, "stop line    {}: {}", line.place, line.words());
+    }
     let safety = &status.safety;
     let last = safety.last_stop.as_ref().map_or_else(
         || "no stop yet".to_owned(),

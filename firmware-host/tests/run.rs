@@ -439,6 +439,63 @@ fn the_safety_boards_emergency_stop_wins_and_survives_a_restart_of_the_program()
 }
 
 #[test]
+fn an_emergency_stop_on_an_input_line_wins_and_its_release_moves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = folder.path().join("line");
+    let set = |level: &str| {
+        // In one step, because the robot reads the file all the time.
+        std::fs::write(line.with_extension("new"), level).unwrap();
+        std::fs::rename(line.with_extension("new"), &line).unwrap();
+    };
+    set("0");
+    let more = format!("\n[devices.emergency_stop]\nchip = \"file:{}\"\n", line.display());
+    let mut scene = Scene::with(Protocol::Odrive, &more, &[]);
+    scene.drives_first();
+    set("1");
+    scene.needs_person("emergency stop");
+    assert!(scene.way_m() < 0.01 && scene.health().1.contains("pressed, or its wire is broken"));
+    scene.signal(Signal::USR1);
+    assert!(scene.way_m() < 0.01, "a pressed stop cannot be overruled");
+    set("0");
+    scene.stands_until_armed();
+    std::fs::remove_file(&line).unwrap();
+    scene.needs_person("must contain 0 or 1");
+    set("0");
+    scene.stands_until_armed();
+    scene.ends_well();
+}
+
+#[test]
+fn check_drive_measures_a_robot_in_a_home_and_leaves_its_motors_idle() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
+    let options = LiveOptions { camera, ..LiveOptions::default() };
+    let world = LiveWorld::start(folder.path(), &options).unwrap();
+    let measured = folder.path().join("commissioning.toml");
+    let began = Instant::now();
+    // A busy computer delays the simulated motors, which then count as silent.
+    while !measured.exists() {
+        let mut check = Command::cargo_bin("firmware-host").unwrap();
+        check.args(["check", "--drive", "--yes", "--config"]).arg(world.config());
+        let output = check.output().unwrap();
+        let said = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        assert!(began.elapsed() < PATIENCE, "never measured: {}", said.concat());
+        if measured.exists() {
+            for what in ["reaction time", "braking distance", "roll-out", "yaw of the LiDAR"] {
+                assert!(said[0].contains(what), "{}", said[0]);
+            }
+        }
+    }
+    let written: toml::Table = std::fs::read_to_string(measured).unwrap().parse().unwrap();
+    let metres = |key: &str| written[key].as_float().unwrap();
+    assert!((0.01..0.2).contains(&metres("braking_m")), "{written}");
+    assert!((0.01..0.3).contains(&metres("roll_out_m")), "{written}");
+    assert!(metres("lidar_yaw_deg").abs() < 5.0, "{written}");
+    assert!(world.wheels().iter().all(|node| !node.is_powered()), "the motors are released");
+    assert_eq!(world.home().score().0, 0, "it touched something");
+}
+
+#[test]
 fn a_program_that_was_stopped_for_three_seconds_stands_when_it_continues() {
     let scene = Scene::new(Protocol::Odrive);
     scene.drives_first();

@@ -109,7 +109,7 @@ impl Base for Devices {
 fn the_safety_loop_allocates_nothing_after_its_first_scan_in_any_state() {
     let base = Devices { now_ns: 0, ahead_m: 2.0 };
     let lidar = Devices { now_ns: 0, ahead_m: 2.0 };
-    let config = SafetyConfig { period_s: 0.01, ..SafetyConfig::default() };
+    let config = SafetyConfig { period_s: 0.01, blind_back_off_m: 0.05, ..SafetyConfig::default() };
     let mut control = SafetyLoop::new(config, base, lidar);
     let mut names = std::collections::BTreeSet::new();
     let mut counted = 0;

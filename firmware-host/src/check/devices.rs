@@ -5,6 +5,7 @@ use std::path::Path;
 use drivers::can::protocol::MotorStatus;
 use drivers::can::{BaseConfig, CanError, DifferentialBase, Protocol, open_bus};
 use drivers::lidar::{AnyLidar, LidarConfig};
+use drivers::stop_line::{StopLine, StopLineConfig};
 use drivers::v4l2::node::FourCc;
 use drivers::v4l2::{self, CameraDeviceConfig, CameraFormat, V4l2Camera, V4l2Error};
 use drivers::{DeviceState, DeviceStatus, Port};
@@ -77,11 +78,13 @@ pub fn test_all(config: &Config) -> Vec<Finding> {
         let camera = scope.spawn(|| test_camera(&devices.camera));
         let lidar = scope.spawn(|| test_lidar(&devices.lidar));
         let base = test_base(&devices.base);
-        vec![
+        let mut findings = vec![
             camera.join().unwrap_or_else(|_| panicked("camera")),
             lidar.join().unwrap_or_else(|_| panicked("LiDAR")),
             base,
-        ]
+        ];
+        findings.extend(test_stop_line(&devices.emergency_stop));
+        findings
     })
 }
 
@@ -283,6 +286,31 @@ fn test_base(config: &BaseConfig) -> Finding {
     let interface =
         if config.bus.starts_with("unix:") { None } else { nearby::can_interface(&config.bus) };
     Finding::unusable("base", path(), state, details, problem).advise(interface)
+}
+
+/// The emergency stop on an input line of the computer; `None` if there is none.
+fn test_stop_line(config: &StopLineConfig) -> Option<Finding> {
+    const DEVICE: &str = "emergency stop";
+    let unusable = |problem| {
+        let state = DeviceState::Disconnected;
+        Finding::unusable(DEVICE, config.place(), state, "counts as pressed".to_owned(), problem)
+    };
+    let line = match StopLine::start(config) {
+        Ok(line) => line?,
+        Err(error) => return Some(unusable(error.to_string())),
+    };
+    let monitor = line.monitor();
+    if let Some(problem) = monitor.problem() {
+        return Some(unusable(problem));
+    }
+    let is_pressed = monitor.is_pressed();
+    let advice = is_pressed.then(|| {
+        "release it; if it is released, its wire is broken or `released_level` is the wrong one"
+            .to_owned()
+    });
+    let details = if is_pressed { "pressed" } else { "released; press it and check again" };
+    let place = config.place();
+    Some(Finding::usable(DEVICE, place, details.to_owned()).advise(advice))
 }
 
 fn describe_motor(status: &MotorStatus) -> String {

@@ -1,6 +1,7 @@
 //! `firmware-host check`: checks a configuration file, prints the effective values, and tests the devices that it names.
 
 mod devices;
+mod drive;
 mod nearby;
 mod speed;
 mod view;
@@ -31,7 +32,7 @@ pub fn run(args: &CheckArgs) -> Result<ExitCode> {
     };
     let config = Config::load(path)?;
     let real_robot = config.check_devices(path);
-    if !args.devices {
+    if !args.devices && !args.drive {
         // A file without devices is for `explore`, which does not use them.
         let remark = match real_robot {
             Ok(()) => "",
@@ -50,6 +51,9 @@ pub fn run(args: &CheckArgs) -> Result<ExitCode> {
     }
     real_robot?;
     refuse_beside_a_running_robot(&config)?;
+    if args.drive {
+        return drive::run(&config, path, args.yes);
+    }
     let findings = devices::test_all(&config);
     let columns = fit::columns();
     println!("{} is valid. Devices:\n\n{}", path.display(), screen(&findings, columns));

@@ -2,6 +2,7 @@
 
 use drivers::can::BaseConfig;
 use drivers::lidar::LidarConfig;
+use drivers::stop_line::StopLineConfig;
 use drivers::v4l2::CameraDeviceConfig;
 use hal::{CameraModel, Distortion};
 use runtime::safety::{SafetyConfig, needs_second_scan};
@@ -50,6 +51,7 @@ hal::settings! {
         lens: LensSection;
         lidar: LidarConfig;
         base: BaseConfig;
+        emergency_stop: StopLineConfig;
     }
 }
 
@@ -109,7 +111,8 @@ impl Config {
     }
 
     /// Time until an obstacle that appears just behind a beam of the configured scanner is known, seconds.
-    fn sight_s(&self) -> f64 {
+    #[must_use]
+    pub fn sight_s(&self) -> f64 {
         let lidar = &self.devices.lidar;
         f64::from(self.scans_until_seen()) * lidar.longest_period_s() + lidar.cable_s()
     }

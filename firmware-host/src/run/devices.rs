@@ -4,15 +4,25 @@ use anyhow::{Context, Result};
 use drivers::can::{CanBus, DifferentialBase, Phase, open_bus};
 use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyLidar};
 use drivers::lidar::AnyLidar;
+use drivers::stop_line::{StopLine, StopLineMonitor};
 use drivers::v4l2::V4l2Camera;
 use drivers::{DeviceStatus, LidarMonitor};
 use runtime::safety::SafetyLoop;
 
-use super::safety_thread::{Watched, WatchedBase};
+use super::safety_thread::{Opened, Watched, WatchedBase};
 use crate::config::Config;
 
 /// The base on a bus of any kind.
 pub type AnyBase = DifferentialBase<Box<dyn CanBus + Send>>;
+
+/// The safety loop's devices, as the rest of the program sees them.
+#[derive(Debug, Clone)]
+pub struct Monitors {
+    /// The scanner.
+    pub lidar: LidarMonitor,
+    /// The emergency stop on an input line of the computer, if there is one.
+    pub stop_line: Option<StopLineMonitor>,
+}
 
 /// The safety loop with the devices that it owns.
 pub type Control = SafetyLoop<FaultyBase<AnyBase>, FaultyLidar<AnyLidar>>;
@@ -26,6 +36,21 @@ pub fn open_camera(config: &Config, faults: &Faults) -> Result<FaultyCamera<V4l2
     let model = devices.camera_model().map_err(anyhow::Error::msg).context("[devices.lens]")?;
     let camera = V4l2Camera::new(&devices.camera, model).context("[devices.camera]")?;
     Ok(FaultyCamera::new(camera, faults))
+}
+
+/// Starts the drivers of the scanner, the base and the emergency stop's line.
+///
+/// # Errors
+/// A driver refuses the configuration.
+pub fn open_for_safety(
+    config: &Config,
+    faults: &Faults,
+) -> Result<Opened<FaultyBase<AnyBase>, FaultyLidar<AnyLidar>, Monitors>> {
+    let (control, lidar) = open_scanner_and_base(config, faults)?;
+    let stop_line =
+        StopLine::start(&config.devices.emergency_stop).context("[devices.emergency_stop]")?;
+    let rest = Monitors { lidar, stop_line: stop_line.as_ref().map(StopLine::monitor) };
+    Ok(Opened { control, stop_line, rest })
 }
 
 /// Starts the drivers of the scanner and the base. Also returns a handle to the scanner's state, for other threads.

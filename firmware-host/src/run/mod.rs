@@ -20,6 +20,10 @@ pub mod status;
 mod stops_reference;
 mod supervision;
 
+pub(crate) use devices::open_for_safety;
+pub(crate) use instance_lock::InstanceLock;
+pub(crate) use supervision::words as state_words;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -48,7 +52,6 @@ use crate::report::summary::{CameraLatency, LidarLine, Summary, peak_resident_mi
 use crate::setup::{self, Mission};
 use crate::task::TaskFile;
 use exploration::{Exploration, RunLog};
-use instance_lock::InstanceLock;
 use last_stop::StopFile;
 use live_devices::LiveDevices;
 use operator::Operator;
@@ -109,8 +112,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
         Pace { period_ns: config.safety_period_ns(), priority: config.run.realtime_priority };
     let wiring = config.clone();
     let wiring_faults = faults.clone();
-    let open = move || devices::open_scanner_and_base(&wiring, &wiring_faults);
-    let (mut safety, port, lidar) = SafetyThread::start(pace, open)?;
+    let open = move || devices::open_for_safety(&wiring, &wiring_faults);
+    let (mut safety, port, monitors) = SafetyThread::start(pace, open)?;
     let clock = FaultyClock::new(MonotonicClock, &faults);
     let devices = LiveDevices::new(&config, clock, camera)?;
     let models =
@@ -123,7 +126,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     exploration.log.live = view;
     let stop_file = StopFile::open(config.run.stop_file.as_ref());
     let operator = Operator::start(safety.panel.clone(), stop_file)?;
-    let mut supervision = Supervision::new(args, out, &config, lidar, &operator);
+    let mut supervision = Supervision::new(args, out, &config, monitors, &operator);
     if config.run.arm_at_start {
         match &operator.last_stop {
             None => safety.panel.arm(),

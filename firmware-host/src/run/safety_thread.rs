@@ -7,6 +7,7 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context, Result};
 use drivers::DeviceStatus;
+use drivers::stop_line::StopLine;
 use hal::{Base, Clock, ErrorKind, Lidar, PowerReport};
 use monotonic_clock::MonotonicClock;
 use runtime::event::{FaultReason, SafetyEvent};
@@ -76,6 +77,16 @@ pub struct SafetyThread {
     thread: Option<JoinHandle<LatencyHistogram>>,
 }
 
+/// What the thread opens before the loop starts.
+pub struct Opened<B, L, T> {
+    /// The safety loop with scanner and base.
+    pub control: SafetyLoop<B, L>,
+    /// The emergency stop on an input line of the computer, if there is one.
+    pub stop_line: Option<StopLine>,
+    /// What the rest of the program gets.
+    pub rest: T,
+}
+
 /// Rate and priority of the loop.
 #[derive(Debug, Clone, Copy)]
 pub struct Pace {
@@ -94,7 +105,7 @@ impl SafetyThread {
     /// The errors of `open`, and an error if the system cannot create a thread.
     pub fn start<B, L, T>(
         pace: Pace,
-        open: impl FnOnce() -> Result<(SafetyLoop<B, L>, T)> + Send + 'static,
+        open: impl FnOnce() -> Result<Opened<B, L, T>> + Send + 'static,
     ) -> Result<(Self, SafetyPort, T)>
     where
         B: Base + WatchedBase,
@@ -105,8 +116,8 @@ impl SafetyThread {
         let work = move || {
             let realtime = become_realtime(pace.priority);
             match open() {
-                Ok((control, rest)) => {
-                    let (looping, thread, port) = connect(control, realtime);
+                Ok(Opened { control, stop_line, rest }) => {
+                    let (looping, thread, port) = connect(control, stop_line, realtime);
                     let _ = sender.send(Ok((thread, port, rest)));
                     looping.run(pace.period_ns)
                 }
@@ -142,6 +153,7 @@ impl SafetyThread {
 
 fn connect<B, L>(
     control: SafetyLoop<B, L>,
+    stop_line: Option<StopLine>,
     realtime: bool,
 ) -> (Looping<B, L>, SafetyThread, SafetyPort)
 where
@@ -157,6 +169,7 @@ where
         task,
         status: status_input,
         panel: PanelReader::new(panel.clone()),
+        stop_line,
         suspended_ns: suspended_ns(),
         stop: Arc::clone(&stop),
         steps: Arc::clone(&steps),
@@ -176,6 +189,7 @@ struct Looping<B, L> {
     task: SafetyTask<B, L>,
     status: Input<LoopStatus>,
     panel: PanelReader,
+    stop_line: Option<StopLine>,
     /// Time that the computer has been suspended since it was started.
     suspended_ns: u64,
     stop: Arc<AtomicBool>,
@@ -221,14 +235,16 @@ where
         late
     }
 
-    fn orders(&mut self) -> Orders {
+    fn orders(&mut self, now_ns: u64) -> Orders {
         let before_ns = std::mem::replace(&mut self.suspended_ns, suspended_ns());
         let suspended = self.suspended_ns.saturating_sub(before_ns) > SUSPENDED_NS;
-        Orders { suspended, ..self.panel.orders() }
+        let orders = self.panel.orders();
+        let is_pressed = self.stop_line.as_ref().is_some_and(|line| line.is_pressed(now_ns));
+        Orders { suspended, emergency_stop: orders.emergency_stop || is_pressed, ..orders }
     }
 
     fn step(&mut self, now_ns: u64, status: &mut LoopStatus) {
-        let orders = self.orders();
+        let orders = self.orders(now_ns);
         let step = self.task.step(now_ns, &orders);
         let state = step.state;
         status.lidar_error = step.lidar_error;

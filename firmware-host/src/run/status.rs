@@ -32,6 +32,9 @@ pub struct Status {
     pub lidar: DeviceHealth,
     /// State of the base.
     pub base: DeviceHealth,
+    /// The emergency stop on an input line of the computer; absent without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stop_line: Option<StopLineStatus>,
     /// The base's supply and temperature, as far as its controllers report them.
     pub power: PowerStatus,
     /// State of the exploration plane.
@@ -86,6 +89,30 @@ pub struct DeviceHealth {
     pub reopened: u64,
     /// The problem and its remedy.
     pub problem: Option<String>,
+}
+
+/// The emergency stop on an input line of the computer.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct StopLineStatus {
+    /// Chip and line.
+    pub place: String,
+    /// Whether it is pressed. A line that cannot be read is pressed.
+    pub is_pressed: bool,
+    /// Why the line cannot be read, with the remedy.
+    pub problem: Option<String>,
+}
+
+impl StopLineStatus {
+    /// `released`, `pressed`, or that the line cannot be read.
+    #[must_use]
+    pub fn words(&self) -> &'static str {
+        match (&self.problem, self.is_pressed) {
+            (Some(_), _) => "cannot be read, which counts as pressed",
+            (None, true) => "pressed, or its wire is broken",
+            (None, false) => "released",
+        }
+    }
 }
 
 /// Supply and temperature of the base. A value that is not reported is absent.
@@ -224,6 +251,7 @@ impl Status {
         worries.extend(
             [&self.camera, &self.lidar, &self.base].into_iter().filter_map(DeviceHealth::worry),
         );
+        worries.extend(self.stop_line.as_ref().and_then(|line| line.problem.clone()));
         if self.safety.needs_person {
             let SafetyStatus { state, last_stop, .. } = &self.safety;
             let why = match last_stop {

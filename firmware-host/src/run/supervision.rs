@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use drivers::DeviceState;
-use drivers::LidarMonitor;
 use drivers::can::Phase;
 use monotonic_clock::monotonic_ns;
 use runtime::event::FaultReason;
@@ -14,11 +13,14 @@ use runtime::safety::SafetyState;
 use sd_notify::NotifyState;
 
 use super::device_log::DeviceLog;
+use super::devices::Monitors;
 use super::exploration::Exploration;
 use super::last_stop::LastStop;
 use super::operator::Operator;
 use super::safety_thread::{LoopStatus, SafetyThread};
-use super::status::{PowerStatus, RateMeter, RecordingStatus, SafetyStatus, Status, unix_s};
+use super::status::{
+    PowerStatus, RateMeter, RecordingStatus, SafetyStatus, Status, StopLineStatus, unix_s,
+};
 use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::failure::sentence;
@@ -33,7 +35,9 @@ pub struct Supervision {
     names: [String; 3],
     bus: String,
     hot_c: f64,
-    lidar: LidarMonitor,
+    /// Chip and line of the emergency stop.
+    stop_line: String,
+    monitors: Monitors,
     meters: [RateMeter; 3],
     began_ns: u64,
     due_ns: u64,
@@ -53,7 +57,7 @@ impl Supervision {
         args: &RunArgs,
         out: &Path,
         config: &Config,
-        lidar: LidarMonitor,
+        monitors: Monitors,
         operator: &Operator,
     ) -> Self {
         let file = args.status.clone().unwrap_or_else(|| PathBuf::from(&config.run.status_file));
@@ -72,7 +76,8 @@ impl Supervision {
             ],
             bus: devices.base.bus.clone(),
             hot_c: config.safety.hot_c,
-            lidar,
+            stop_line: devices.emergency_stop.place(),
+            monitors,
             meters: [RateMeter::default(); 3],
             began_ns: monotonic_ns(),
             due_ns: 0,
@@ -182,8 +187,18 @@ impl Supervision {
                 realtime,
             },
             camera: camera_meter.health(&self.names[0], &camera, now_ns, camera_problem.cloned()),
-            lidar: lidar_meter.health(&self.names[1], &safety.lidar, now_ns, self.lidar.problem()),
+            lidar: lidar_meter.health(
+                &self.names[1],
+                &safety.lidar,
+                now_ns,
+                self.monitors.lidar.problem(),
+            ),
             base: base_meter.health(&self.names[2], &safety.base, now_ns, base_problem),
+            stop_line: self.monitors.stop_line.as_ref().map(|line| StopLineStatus {
+                place: self.stop_line.clone(),
+                is_pressed: line.is_pressed(),
+                problem: line.problem(),
+            }),
             power: PowerStatus::new(&safety.power, self.hot_c),
             exploration: exploration.status(),
             recording: RecordingStatus {
@@ -220,7 +235,8 @@ fn no_bus(bus: &str) -> String {
     )
 }
 
-fn words(state: &SafetyState) -> String {
+/// The state's name; for a fault, its reason as well.
+pub fn words(state: &SafetyState) -> String {
     match state {
         SafetyState::Fault(why) => format!("fault: {}", fault_reason(*why)),
         state => state.name().to_owned(),

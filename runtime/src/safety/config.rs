@@ -30,10 +30,13 @@ hal::settings! {
         stop_distance_m: f64 = 0.1, in 0.02..=2.0, unit "m", source "paper";
         /// Distance that the robot then backs off, by wheel odometry.
         back_off_m: f64 = 0.2, in 0.0..=2.0, unit "m";
-        /// Part of that distance that it may drive over ground that the LiDAR has not observed.
-        blind_back_off_m: f64 = 0.05, in 0.0..=0.5, unit "m";
-        /// An observation of the ground behind the robot is valid for this long.
-        rear_memory_s: f64 = 30.0, in 0.0..=300.0, unit "s";
+        /// Part of that distance that it may drive over ground that the LiDAR has not observed. With 0 the robot then stands and
+        /// rotates instead.
+        blind_back_off_m: f64 = 0.0, in 0.0..=0.5, unit "m";
+        /// Ground behind the robot is known to be free for this long after the LiDAR saw it, or after the robot left it. A person
+        /// or an animal may have stepped onto it since then.
+        rear_memory_s: f64 = 5.0, in 0.0..=300.0, unit "s",
+            source "a person walks up from the edge of an ordinary room, 5 m away at 1 m/s";
         /// Backing off ends after this time, whatever the wheels report.
         back_off_timeout_s: f64 = 5.0, in 0.1..=60.0, unit "s";
         /// The robot does not drive by a scan that ended longer ago.

@@ -468,7 +468,14 @@ mod tests {
 
     impl Robot {
         fn new() -> Self {
-            let config = SafetyConfig { period_s: 0.01, good_scans: 3, ..SafetyConfig::default() };
+            // Its odometry stands still, so it never knows the ground behind it.
+            let blind_back_off_m = 0.05;
+            let config = SafetyConfig {
+                period_s: 0.01,
+                good_scans: 3,
+                blind_back_off_m,
+                ..SafetyConfig::default()
+            };
             let lidar = FreeFloor { time_ns: 0, error: None, ahead_m: 3.0 };
             Self { control: SafetyLoop::new(config, Motors::default(), lidar), now_ns: 0 }
         }

@@ -79,6 +79,7 @@ pub use restart::{CREEP_MPS, CREEP_NS, CREEP_RADPS, Restart, STOPS, Stop};
 pub use sent::SentCommand;
 pub use state::{BackOff, Escape, Plan, Request, SafetyInput, SafetyOutput, SafetyState};
 pub use surroundings::{Obstacle, ScanHealth, Surroundings, needs_second_scan};
+pub use witness::scanner_motion;
 
 #[cfg(test)]
 mod orders_tests;

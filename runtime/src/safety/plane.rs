@@ -650,6 +650,20 @@ impl SafetyPlane {
         )
     }
 
+    /// Distance from the start of a back-off within which the ground was known to be free then and
+    /// is so now, metres. It is judged anew in every step, because knowledge ages while the robot
+    /// reverses. What was observed from the start counts as well as what is observed from here.
+    fn known_free_behind_m(&self, time_ns: u64, back_off: &BackOff, odom: &Pose2) -> f64 {
+        let from = &back_off.from;
+        let gone_m = odom.distance_m(from);
+        let left_m = (self.config.back_off_m - gone_m).max(0.0);
+        let known_m =
+            |pose, limit_m| self.rear.known_free_m(time_ns, pose, &self.footprint, limit_m);
+        let from_there_m = known_m(from, self.config.back_off_m);
+        let from_here_m = known_m(odom, left_m);
+        from_there_m.max(gone_m + from_here_m).min(back_off.known_free_m)
+    }
+
     fn step_backing_off(
         &mut self,
         time_ns: u64,
@@ -658,7 +672,8 @@ impl SafetyPlane {
     ) -> SafetyOutput {
         let gone_m = wheel.odom.distance_m(&back_off.from);
         let left_m = self.config.back_off_m - gone_m;
-        let known_m = back_off.known_free_m + self.config.blind_back_off_m;
+        let known_free_m = self.known_free_behind_m(time_ns, &back_off, &wheel.odom);
+        let known_m = known_free_m + self.config.blind_back_off_m;
         let late = is_older(Some(back_off.since_ns), time_ns, self.config.back_off_timeout_s);
         let back = Twist2 { linear_mps: -self.config.back_off_mps, angular_radps: 0.0 };
         let rear_m =
@@ -803,6 +818,10 @@ mod doubt_tests;
 #[cfg(test)]
 #[path = "reach_tests.rs"]
 mod reach_tests;
+
+#[cfg(test)]
+#[path = "back_off_tests.rs"]
+mod back_off_tests;
 
 #[cfg(test)]
 #[path = "contact_tests.rs"]

@@ -119,8 +119,8 @@ pub fn cart() -> SafetyConfig {
 /// A robot that has rotated once on the spot and therefore knows the ground behind it.
 pub fn rotated_once(x_m: f64) -> Room {
     let mut room = Room::new(2.0, Pose2::new(x_m, 0.0, 0.0));
-    for _ in 0..210 {
-        room.tick(Twist2 { linear_mps: 0.0, angular_radps: 0.3 });
+    for _ in 0..105 {
+        room.tick(Twist2 { linear_mps: 0.0, angular_radps: 0.6 });
     }
     room.pose.yaw_rad = 0.0;
     room.tick(Twist2::ZERO);
@@ -234,7 +234,8 @@ fn a_scan_of_nothing_but_errors_stops_the_robot() {
 
 #[test]
 fn backing_off_times_out_when_the_wheels_report_no_motion() {
-    let mut room = Room::new(2.0, Pose2::IDENTITY);
+    let config = SafetyConfig { rear_memory_s: 30.0, ..SafetyConfig::default() };
+    let mut room = Room::with(config, 2.0, Pose2::IDENTITY);
     room.until(FORWARD, tripped);
     let stuck_at = room.pose;
     let mut end = None;
@@ -565,7 +566,8 @@ fn a_robot_that_is_still_rolling_waits_before_it_backs_off() {
 #[test]
 fn backing_off_over_unknown_ground_is_limited_to_the_configured_distance() {
     // The robot starts in front of a wall, so the ground behind it is unknown.
-    let mut room = Room::new(2.0, Pose2::new(1.75, 0.0, 0.0));
+    let config = SafetyConfig { blind_back_off_m: 0.05, ..SafetyConfig::default() };
+    let mut room = Room::with(config, 2.0, Pose2::new(1.75, 0.0, 0.0));
     room.until(FORWARD, tripped);
     let stopped_at = room.pose;
     let output = room.until(FORWARD, |output| output.blocked_m.is_some());

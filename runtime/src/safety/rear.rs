@@ -58,7 +58,7 @@ impl SectorReturns {
 pub(super) struct RearMemory {
     memory_ns: u64,
     observations: [Option<Observation>; SECTORS],
-    /// Ring buffer of times and poses in `odom`.
+    /// Ring buffer of poses in `odom`, with the time at which the robot left each of them.
     trail: [Option<(u64, Pose2)>; TRAIL_LENGTH],
     /// Index of the next entry of `trail` to overwrite.
     next: usize,
@@ -76,15 +76,17 @@ impl RearMemory {
 
     /// Adds the robot's pose in `odom` to the driven path.
     pub fn record_pose(&mut self, time_ns: u64, pose: &Pose2) {
-        let last = self.trail[(self.next + TRAIL_LENGTH - 1) % TRAIL_LENGTH];
-        let moved = last.is_none_or(|(_, last)| {
-            last.distance_m(pose) >= TRAIL_STEP_M
-                || wrap_angle(last.yaw_rad - pose.yaw_rad).abs() > SAME_HEADING_RAD / 2.0
-        });
-        if moved {
-            self.trail[self.next] = Some((time_ns, *pose));
-            self.next = (self.next + 1) % TRAIL_LENGTH;
+        let last = &mut self.trail[(self.next + TRAIL_LENGTH - 1) % TRAIL_LENGTH];
+        if let Some((left_ns, last)) = last
+            && last.distance_m(pose) < TRAIL_STEP_M
+            && wrap_angle(last.yaw_rad - pose.yaw_rad).abs() <= SAME_HEADING_RAD / 2.0
+        {
+            // Nobody steps onto the ground under the robot: the time counts from when it leaves.
+            *left_ns = time_ns;
+            return;
         }
+        self.trail[self.next] = Some((time_ns, *pose));
+        self.next = (self.next + 1) % TRAIL_LENGTH;
     }
 
     /// Forgets everything: the odometry was reset, so stored positions are wrong.

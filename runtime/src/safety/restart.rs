@@ -40,10 +40,11 @@ pub const CREEP_NS: u64 = 1_000_000_000;
 pub const STOPS: [Stop; 13] = [
     Stop {
         why: FaultReason::EmergencyStop,
-        condition: "the emergency stop of the safety board or of the operator",
+        condition: "the emergency stop of the safety board, of an input line of the computer (GPIO), or of the operator; a broken wire, a line that cannot be read",
         restart: Restart::Person,
         tests: "`restart_authority::a_released_emergency_stop_moves_nothing`, \
-                `run::the_safety_boards_emergency_stop_wins_and_survives_a_restart_of_the_program`",
+                `run::the_safety_boards_emergency_stop_wins_and_survives_a_restart_of_the_program`, \
+                `run::an_emergency_stop_on_an_input_line_wins_and_its_release_moves_nothing`",
     },
     Stop {
         why: FaultReason::SafetyBoardSilent,

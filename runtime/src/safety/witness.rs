@@ -124,18 +124,21 @@ impl Witness {
         let guess = t_base_laser.inverse().compose(wheels).compose(&t_base_laser);
         self.drift_m *= MEMORY;
         self.drift_rad *= MEMORY;
-        // Wheels that are far from the truth give an initial guess from which no match is found.
-        // The robot then stood still, or moved in the opposite direction.
-        let observed = self
-            .match_scan(scan, &guess)
-            .or_else(|| self.match_scan(scan, &Pose2::IDENTITY))
-            .or_else(|| self.match_scan(scan, &guess.inverse()));
-        let Some(observed) = observed else { return };
+        let Some(observed) = self.match_near(scan, &guess) else { return };
         let seen = t_base_laser.compose(&observed.motion).compose(&t_base_laser.inverse());
         self.drift_rad += wrap_angle(wheels.yaw_rad - seen.yaw_rad);
         if observed.sees_forward {
             self.drift_m += wheels.x_m - seen.x_m;
         }
+    }
+
+    /// The motion of the laser since the reference scan, near the wheels' motion or not. Wheels that
+    /// are far from the truth give an initial guess from which no match is found. The robot then
+    /// stood still, or moved in the opposite direction.
+    fn match_near(&self, scan: &LaserScan, guess: &Pose2) -> Option<Observed> {
+        self.match_scan(scan, guess)
+            .or_else(|| self.match_scan(scan, &Pose2::IDENTITY))
+            .or_else(|| self.match_scan(scan, &guess.inverse()))
     }
 
     /// The motion of the laser since the reference scan. `None` if too little of the room was seen in
@@ -155,7 +158,8 @@ impl Witness {
                 wrap_angle(motion.yaw_rad + step.z),
             );
             let sees_forward = system.information.m11 >= MIN_INFORMATION;
-            observed = Some(Observed { motion, sees_forward });
+            let sees_sideways = system.information.m22 >= MIN_INFORMATION;
+            observed = Some(Observed { motion, sees_forward, sees_sideways });
             if step.norm() < 1e-4 {
                 break;
             }
@@ -232,6 +236,17 @@ impl Witness {
     }
 }
 
+/// The motion of the laser between two scans, as `t_before_after`, starting from a guess; `None` if too
+/// little of the room was seen to know it in both directions.
+#[must_use]
+pub fn scanner_motion(before: &LaserScan, after: &LaserScan, guess: &Pose2) -> Option<Pose2> {
+    let mut witness = Witness::new(0.0);
+    witness.set_geometry(before.geometry);
+    witness.set_reference(before, &Pose2::IDENTITY);
+    let observed = witness.match_near(after, guess)?;
+    (observed.sees_forward && observed.sees_sideways).then_some(observed.motion)
+}
+
 /// A piece of a surface.
 struct Line {
     point: [f64; 2],
@@ -243,6 +258,8 @@ struct Observed {
     motion: Pose2,
     /// The motion along the robot's heading was observed. In a long corridor it is not.
     sees_forward: bool,
+    /// So was the motion across it.
+    sees_sideways: bool,
 }
 
 /// Normal equations, with the number of beams behind them.

@@ -1,0 +1,112 @@
+//! Reading the level of a line: of the kernel's GPIO character device, or a file that simulates one.
+
+use std::path::{Path, PathBuf};
+
+use gpiocdev::line::{Bias, Value};
+use gpiocdev::{Chip, Request};
+
+use super::{Level, StopLineConfig, StopLineError};
+
+/// A line that can be read. It may block for as long as its bus needs.
+pub trait Line: Send {
+    /// The level now.
+    ///
+    /// # Errors
+    /// The line cannot be read: its chip is gone.
+    fn read(&self) -> Result<Level, StopLineError>;
+}
+
+/// Opens the line of the configuration as an input.
+///
+/// # Errors
+/// Chip or line are absent, or another program uses the line.
+pub fn open_line(config: &StopLineConfig) -> Result<Box<dyn Line>, StopLineError> {
+    if let Some(path) = config.chip.strip_prefix("file:") {
+        return Ok(Box::new(SimulatedLine { path: path.into() }));
+    }
+    let chip = || config.chip.clone();
+    let line = || config.line.clone();
+    let device = Chip::from_path(&config.chip)
+        .map_err(|source| StopLineError::Chip { chip: chip(), source })?;
+    let info = match config.line.parse() {
+        Ok(number) => device.line_info(number).ok(),
+        Err(_) => device.find_line_info(&config.line),
+    };
+    let info = info.ok_or_else(|| StopLineError::NoLine { chip: chip(), line: line() })?;
+    // Against a broken wire. Chips without such resistors ignore it.
+    let bias = match config.released_level {
+        Level::Low => Bias::PullUp,
+        Level::High => Bias::PullDown,
+    };
+    let request = Request::builder()
+        .on_chip(&config.chip)
+        .with_line(info.offset)
+        .as_input()
+        .with_bias(bias)
+        .with_consumer("embodied-depth")
+        .request()
+        .map_err(|source| StopLineError::Line { chip: chip(), line: line(), source })?;
+    Ok(Box::new(GpioLine { request, chip: chip(), line: line() }))
+}
+
+/// A line of a chip.
+#[derive(Debug)]
+struct GpioLine {
+    request: Request,
+    chip: String,
+    line: String,
+}
+
+impl Line for GpioLine {
+    fn read(&self) -> Result<Level, StopLineError> {
+        match self.request.lone_value() {
+            Ok(Value::Active) => Ok(Level::High),
+            Ok(Value::Inactive) => Ok(Level::Low),
+            Err(source) => Err(StopLineError::Line {
+                chip: self.chip.clone(),
+                line: self.line.clone(),
+                source,
+            }),
+        }
+    }
+}
+
+/// A file that contains `0` (low) or `1` (high).
+#[derive(Debug)]
+struct SimulatedLine {
+    path: PathBuf,
+}
+
+impl Line for SimulatedLine {
+    fn read(&self) -> Result<Level, StopLineError> {
+        let wrong = |what: String| StopLineError::File { path: shown(&self.path), what };
+        let text = std::fs::read_to_string(&self.path).map_err(|error| wrong(error.to_string()))?;
+        match text.trim() {
+            "0" => Ok(Level::Low),
+            "1" => Ok(Level::High),
+            other => Err(wrong(format!("it contains `{other}`"))),
+        }
+    }
+}
+
+fn shown(path: &Path) -> String {
+    path.display().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_chip_that_is_absent_and_a_file_that_is_no_chip_are_named() {
+        for chip in ["/nonexistent/gpiochip7", "/dev/null"] {
+            let config = StopLineConfig {
+                chip: chip.to_owned(),
+                line: "17".to_owned(),
+                ..StopLineConfig::default()
+            };
+            let said = open_line(&config).err().map(|error| error.to_string()).unwrap();
+            assert!(said.contains(chip) && said.contains("gpiodetect"), "{said}");
+        }
+    }
+}
