@@ -1,7 +1,7 @@
 //! `firmware-host check`: checks a configuration file, prints the effective values, and tests the devices that it names.
 
 mod devices;
-mod nearby;
+pub(crate) mod nearby;
 mod speed;
 mod view;
 
