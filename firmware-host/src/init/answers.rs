@@ -9,6 +9,7 @@ use anyhow::{Context, Result, bail};
 use drivers::Port;
 use drivers::can::{BaseConfig, Protocol};
 
+use super::endpoints::Endpoints;
 use super::found::Found;
 use super::questions::{Asked, Device, QUESTIONS, Question};
 
@@ -81,7 +82,8 @@ pub fn typed(
             let numbers: Result<Vec<f64>, String> = text.split_whitespace().map(number).collect();
             checked(question, Answer::Numbers(numbers?), found, answers)
         }
-        _ => {
+        Asked::Endpoints => checked(question, Answer::Text(text.to_owned()), found, answers),
+        Asked::Device(_) | Asked::Choice | Asked::Scanner => {
             let options = question.options(found);
             let chosen = text.parse::<usize>().ok();
             let answer = match chosen {
@@ -131,6 +133,7 @@ fn checked(
             }
         }
         (Asked::Device(device), Answer::Text(name)) => check_device(device, name)?,
+        (Asked::Endpoints, Answer::Text(text)) => drop(Endpoints::parse(text)?),
         (Asked::Choice | Asked::Scanner, Answer::Text(name)) => {
             let options = question.options(found);
             if !options.contains(name) {
@@ -353,6 +356,7 @@ mod tests {
         assert!(refusal("camera", "video0").contains("a path such as /dev/video0"));
         assert!(refusal("lidar_port", "ttyUSB0").contains("/dev/serial/by-id"));
         assert!(refusal("bus", "").contains("can0"));
+        assert!(refusal("odrive", "195 196").contains("such as 0.6.10 195 196"));
     }
 
     #[test]

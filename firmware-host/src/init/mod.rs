@@ -7,12 +7,14 @@
 //! | `found` | what was found, in words |
 //! | `questions` | what is asked, and which keys an answer sets |
 //! | `answers` | what is an answer; files of answers |
+//! | `endpoints` | what has to be known of an ODrive's firmware |
 //! | `dialogue` | asks a person |
 //! | `robot_file` | writes the answers as a configuration |
 //! | `turn_wheels` | turns each wheel, and concludes from what a person sees |
 
 mod answers;
 mod dialogue;
+mod endpoints;
 mod found;
 mod look;
 mod questions;

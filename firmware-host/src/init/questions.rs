@@ -4,6 +4,7 @@
 
 use std::sync::LazyLock;
 
+use drivers::can::config::OdriveConfig;
 use hal::settings::{Key, Kind, Range};
 
 use super::answers::{Answer, Answers};
@@ -49,6 +50,8 @@ pub enum Asked {
     Scanner,
     /// One number for each key. With one key more than numbers, the last number is for both.
     Numbers(usize),
+    /// Version and endpoints of an ODrive's firmware.
+    Endpoints,
     /// An angle within the range of another key, from which the keys are computed.
     FieldOfView,
 }
@@ -180,21 +183,12 @@ pub const QUESTIONS: &[Question] = &[
         ],
     },
     Question {
-        key: "odrive_endpoints",
-        words: "Which endpoints of the ODrive are axis0.config.enable_watchdog and axis0.config.watchdog_timeout?",
-        help: "Two numbers, from flat_endpoints.json of its firmware. 0 0 if you do not know them yet; the robot does not drive with that.",
-        asked: Asked::Numbers(2),
+        key: "odrive",
+        words: "Which firmware do the ODrives have, and which of its endpoints are axis0.config.enable_watchdog and axis0.config.watchdog_timeout?",
+        help: "The version and two numbers, or the path of its flat_endpoints.json. Endpoints of 0 are not known yet: the robot does not drive with them.",
+        asked: Asked::Endpoints,
         only_with: Some(("protocol", &["odrive"])),
-        sets: &[
-            if_other(
-                "devices.base.odrive.enable_watchdog_endpoint",
-                "axis0.config.enable_watchdog.",
-            ),
-            if_other(
-                "devices.base.odrive.watchdog_timeout_endpoint",
-                "axis0.config.watchdog_timeout.",
-            ),
-        ],
+        sets: &[],
     },
     Question {
         key: "pole_pairs",
@@ -347,7 +341,7 @@ impl Question {
                 choices_of(key).iter().map(|choice| (*choice).to_owned()).collect()
             }
             Asked::Scanner => scanners(),
-            Asked::Numbers(_) | Asked::FieldOfView => Vec::new(),
+            Asked::Numbers(_) | Asked::FieldOfView | Asked::Endpoints => Vec::new(),
         }
     }
 
@@ -357,6 +351,7 @@ impl Question {
             Asked::Device(_) => Answer::Text(self.default_device(found)),
             Asked::Scanner => Answer::Text(likely_scanner(found, answers)),
             Asked::Choice => Answer::Text(self.default_choice(found, answers)),
+            Asked::Endpoints => Answer::Text(unknown_endpoints()),
             Asked::FieldOfView => Answer::Numbers(vec![default_number(FIELD_OF_VIEW)]),
             Asked::Numbers(count) => {
                 let keys = self.sets.iter().take(count);
@@ -388,6 +383,12 @@ impl Question {
         let heard = heard.and_then(|protocol| toml::Value::try_from(protocol).ok());
         heard.as_ref().and_then(toml::Value::as_str).unwrap_or(default).to_owned()
     }
+}
+
+/// The firmware of the defaults, and two endpoints that are not known.
+fn unknown_endpoints() -> String {
+    let [major, minor, revision] = OdriveConfig::default().firmware;
+    format!("{major}.{minor}.{revision} 0 0")
 }
 
 fn names<T>(found: &[T], name: impl Fn(&T) -> &String) -> Vec<String> {
@@ -434,6 +435,11 @@ fn heard_nodes(found: &Found, answers: &Answers) -> Option<Vec<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::init::answers::typed;
+    use crate::init::found::{FoundBus, FoundCamera, FoundPort, FrameOffer};
+    use drivers::can::Protocol;
+    use drivers::can::sender::Sender;
+    use drivers::v4l2::V4l2Error;
 
     #[test]
     fn at_most_fifteen_questions_are_asked_whatever_the_answers_are() {
@@ -457,6 +463,54 @@ mod tests {
             }
             assert!(question.ranges().iter().all(Option::is_some), "{}", question.key);
         }
+    }
+
+    fn camera(device: &str, works: bool) -> FoundCamera {
+        let denied = V4l2Error::Denied { device: device.into() };
+        let offer =
+            FrameOffer { formats: Vec::new(), format: None, width: 640, height: 480, fps: None };
+        let offer = if works { Ok(offer) } else { Err(denied) };
+        FoundCamera { device: device.to_owned(), name: String::new(), offer }
+    }
+
+    #[test]
+    fn of_two_cameras_the_one_that_can_be_opened_is_suggested_and_the_other_can_be_chosen() {
+        let cameras = vec![camera("/dev/video0", false), camera("/dev/video2", true)];
+        let found = Found { cameras, ..Found::default() };
+        let question = &QUESTIONS[0];
+        let suggested = question.default(&found, &Answers::default());
+        assert_eq!(suggested, Answer::Text("/dev/video2".to_owned()));
+        let chosen = typed(question, "1", &found, &Answers::default());
+        assert_eq!(chosen, Ok(Answer::Text("/dev/video0".to_owned())));
+    }
+
+    #[test]
+    fn a_scanner_is_suggested_by_the_usb_identity_of_its_port_and_motors_by_what_is_heard() {
+        let port = |path: &str, usb| FoundPort {
+            path: path.to_owned(),
+            name: String::new(),
+            usb,
+            problem: None,
+        };
+        let heard = [7, 9].map(|node| Sender { protocol: Protocol::Vesc, node }).to_vec();
+        let bus = FoundBus { name: "can1".to_owned(), problem: None, senders: heard };
+        let found = Found {
+            ports: vec![port("/dev/a", Some((0x10c4, 0xea60))), port("/dev/b", Some((HOKUYO, 0)))],
+            buses: vec![bus],
+            ..Found::default()
+        };
+        let mut answers = Answers::default();
+        let suggested = |key: &str, answers: &Answers| {
+            let question = QUESTIONS.iter().find(|question| question.key == key).unwrap();
+            question.default(&found, answers).to_string()
+        };
+        assert_eq!(suggested("lidar_port", &answers), "/dev/b");
+        assert_eq!(suggested("bus", &answers), "can1");
+        answers.put("lidar_port", Answer::Text("/dev/a".to_owned()));
+        answers.put("bus", Answer::Text("can1".to_owned()));
+        assert_eq!(suggested("lidar", &answers), "rplidar-a1");
+        assert_eq!(suggested("protocol", &answers), "vesc");
+        assert_eq!(suggested("nodes", &answers), "7 9");
     }
 
     #[test]

@@ -11,6 +11,7 @@ use drivers::v4l2::{CameraDeviceConfig, CameraFormat};
 use toml::Value;
 
 use super::answers::{Answer, Answers};
+use super::endpoints::Endpoints;
 use super::found::{Found, FrameOffer};
 use super::questions::{Asked, QUESTIONS, Question, default_value, setting};
 use super::turn_wheels::Correction;
@@ -80,6 +81,7 @@ fn lines_of(
     match question.asked {
         Asked::FieldOfView => lines.extend(lens(answers, found)),
         Asked::Scanner => lines.extend(scanner(answers)),
+        Asked::Endpoints => lines.extend(endpoints(answers)),
         Asked::Device(super::questions::Device::Camera) => lines.extend(frames(answers, found)),
         _ => {}
     }
@@ -176,6 +178,26 @@ fn lens(answers: &Answers, found: &Found) -> Vec<Line> {
     lines
 }
 
+/// What the driver has to know of an ODrive's firmware.
+fn endpoints(answers: &Answers) -> Vec<Line> {
+    let Some(Ok(known)) = answers.text("odrive").map(Endpoints::parse) else { return Vec::new() };
+    let Endpoints { firmware, enable_watchdog, watchdog_timeout } = known;
+    let firmware = format!("{firmware:?}");
+    vec![
+        line("devices.base.odrive.firmware", &firmware, "Firmware of the ODrives."),
+        line(
+            "devices.base.odrive.enable_watchdog_endpoint",
+            &enable_watchdog,
+            "axis0.config.enable_watchdog in it; 0 is not known.",
+        ),
+        line(
+            "devices.base.odrive.watchdog_timeout_endpoint",
+            &watchdog_timeout,
+            "axis0.config.watchdog_timeout in it; 0 is not known.",
+        ),
+    ]
+}
+
 /// Kind and model of the scanner, and a time-out that is long enough for it.
 fn scanner(answers: &Answers) -> Vec<Line> {
     let name = answers.text("lidar").unwrap_or_default();
@@ -261,6 +283,9 @@ fn keys_of_answers() -> impl Iterator<Item = &'static str> {
         "devices.base.swap_wheels",
         "devices.base.invert_left",
         "devices.base.invert_right",
+        "devices.base.odrive.firmware",
+        "devices.base.odrive.enable_watchdog_endpoint",
+        "devices.base.odrive.watchdog_timeout_endpoint",
     ];
     asked.chain(derived)
 }
@@ -342,7 +367,7 @@ mod tests {
                         ("bus", words("can3")),
                         ("camera_fov_deg", Answer::Numbers(vec![60.0])),
                         ("nodes", Answer::Numbers(vec![11.0, 12.0])),
-                        ("odrive_endpoints", Answer::Numbers(vec![195.0, 196.0])),
+                        ("odrive", words("0.5.6 195 196")),
                         ("pole_pairs", Answer::Numbers(vec![15.0])),
                         ("counts_per_turn", Answer::Numbers(vec![10000.0])),
                     ],

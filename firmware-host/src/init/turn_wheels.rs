@@ -26,6 +26,9 @@ const RIM_MPS: f64 = 0.1;
 /// A person sees a quarter turn this exactly, degrees. Less is no reason for another gear.
 const BY_EYE_DEG: f64 = 10.0;
 
+/// By this share of its turn one wheel may turn further than the other, to the eye.
+const SAME_SHARE: f64 = 0.25;
+
 /// What turning the wheels showed about a configuration.
 #[derive(Debug, Default, Clone, Copy, PartialEq)]
 pub struct Correction {
@@ -165,6 +168,12 @@ impl Correction {
             invert[place] = was_inverted == seen.is_forward;
         }
         let degrees = (first.degrees + second.degrees) / 2.0;
+        if (first.degrees - second.degrees).abs() > SAME_SHARE * degrees + BY_EYE_DEG {
+            return Err(format!(
+                "{} and {} degrees: both wheels have the same gear, so look again, or check the gears",
+                first.degrees, second.degrees
+            ));
+        }
         let is_as_expected = (degrees - 90.0).abs() <= BY_EYE_DEG;
         let seen_ratio = three_digits(gear_ratio * 90.0 / degrees);
         if !(0.01..=1000.0).contains(&seen_ratio) {
@@ -398,6 +407,8 @@ mod tests {
         let geared = none.after([seen("left forward 9"), seen("right forward 9")], 1.0).unwrap();
         assert_eq!(geared.gear_ratio, Some(10.0));
         assert!(none.after([seen("left forward 90"), seen("left back 90")], 1.0).is_err());
+        let unequal = none.after([seen("left forward 90"), seen("right forward 45")], 1.0);
+        assert!(unequal.unwrap_err().contains("90 and 45 degrees"));
     }
 
     #[test]
