@@ -483,7 +483,7 @@ pub struct InitArgs {
     /// Print a file of answers that holds every question with its default, and write nothing.
     #[arg(long, conflicts_with_all = ["answers", "force", "turn_wheels"])]
     pub print_answers: bool,
-    /// Turn each wheel a quarter turn, to find order, direction and gear: the robot must be jacked up.
+    /// Turn each wheel a quarter turn, to find order, direction and gear. They must be off the ground.
     ///
     /// Asks for a `yes` before anything moves.
     #[arg(long)]

@@ -130,5 +130,6 @@ fn without_devices_the_file_is_written_and_says_what_to_plug_in() {
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert_eq!(said.matches("plug it in and start again").count(), 3, "{said}");
     assert_eq!(said.matches("disconnected").count(), 3, "{said}");
+    assert!(said.contains("then: firmware-host check --devices --config"), "{said}");
     assert!(out.is_file() && !said.contains("The robot is ready"), "{said}");
 }

@@ -304,9 +304,12 @@ fn entry(question: &Question, found: &Found, answers: &Answers) -> String {
         _ = writeln!(text, "# {}", question.help);
     }
     let value = match answers.get(question.key) {
-        Some(Answer::Numbers(numbers)) if numbers.len() == 1 => numbers[0].to_string(),
-        Some(Answer::Numbers(numbers)) => format!("{numbers:?}"),
-        Some(Answer::Text(text)) => format!("{text:?}"),
+        Some(Answer::Numbers(numbers)) => {
+            let words: Vec<String> = numbers.iter().map(ToString::to_string).collect();
+            let list = words.join(", ");
+            if words.len() == 1 { list } else { format!("[{list}]") }
+        }
+        Some(Answer::Text(text)) => toml::Value::String(text.clone()).to_string(),
         None => return text,
     };
     text + &format!("{} = {value}\n", question.key)

@@ -74,10 +74,13 @@ pub fn run(args: &InitArgs) -> Result<ExitCode> {
         let base = Config::load(&args.out)?.devices.base;
         turn_wheels::run(&mut dialogue, &base, &write)?;
     }
-    if verdict == ExitCode::SUCCESS {
-        let path = args.out.display();
-        dialogue.say(&format!("\nThe robot is ready: firmware-host run --config {path}"))?;
-    }
+    let path = args.out.display();
+    let next = if verdict == ExitCode::SUCCESS {
+        format!("The robot is ready: firmware-host run --config {path}")
+    } else {
+        format!("Correct what is marked above, then: firmware-host check --devices --config {path}")
+    };
+    dialogue.say(&format!("\n{next}"))?;
     Ok(verdict)
 }
 
