@@ -72,6 +72,10 @@ pub enum Command {
     Map(MapArgs),
     /// Install, list, verify and roll back signed depth networks.
     Model(ModelArgs),
+    /// Find the connected devices, ask at most fifteen questions, and write a configuration.
+    ///
+    /// Then the devices are checked as by `check --devices`.
+    Init(InitArgs),
     /// Check a configuration file and print every value in effect, or check the connected devices.
     Check(CheckArgs),
     /// List, verify, recover, export and serve recorded runs.
@@ -462,6 +466,31 @@ pub struct ViewsArgs {
     pub config: Option<PathBuf>,
     #[command(flatten)]
     pub scene_file: SceneFileArgs,
+}
+
+/// Arguments of `firmware-host init`.
+#[derive(Debug, Args)]
+pub struct InitArgs {
+    /// Configuration file to write.
+    #[arg(long, value_name = "FILE", default_value = "robot.toml")]
+    pub out: PathBuf,
+    /// Replace the file if it exists. Keys in it that are not asked for are kept.
+    #[arg(long)]
+    pub force: bool,
+    /// Take the answers from this file (TOML, one key for each question) instead of asking.
+    #[arg(long, value_name = "FILE")]
+    pub answers: Option<PathBuf>,
+    /// Print a file of answers that holds every question with its default, and write nothing.
+    #[arg(long, conflicts_with_all = ["answers", "force", "turn_wheels"])]
+    pub print_answers: bool,
+    /// Turn each wheel a quarter turn, to find order, direction and gear. They must be off the ground.
+    ///
+    /// Asks for a `yes` before anything moves.
+    #[arg(long)]
+    pub turn_wheels: bool,
+    /// Use the simulated devices in this folder (`hil world --dir`) instead of those of the computer.
+    #[arg(long, value_name = "DIR")]
+    pub simulated: Option<PathBuf>,
 }
 
 /// Arguments of `firmware-host check`.

@@ -21,6 +21,7 @@ pub mod explore;
 pub mod failure;
 pub mod faults;
 pub mod health;
+pub mod init;
 pub mod keep_out;
 pub mod live;
 pub mod localize;

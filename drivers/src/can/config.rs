@@ -10,7 +10,7 @@ use super::protocol::odrive::{Odrive, OdriveNode};
 use super::protocol::vesc::{Vesc, VescNode};
 
 /// The protocol of the motor controllers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Protocol {
     /// ODrive CANSimple.
@@ -22,6 +22,18 @@ pub enum Protocol {
 }
 
 hal::choices!(Protocol: "odrive", "vesc", "cia402");
+
+impl Protocol {
+    /// The name as its makers write it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Odrive => "ODrive",
+            Self::Vesc => "VESC",
+            Self::Cia402 => "CiA 402",
+        }
+    }
+}
 
 hal::settings! {
     /// The base: two driven wheels on a CAN bus.

@@ -6,6 +6,7 @@
 //! | [`bus`] | the trait of a bus: non-blocking send and receive, and reports of bus errors |
 //! | [`socket`], [`unix`] | SocketCAN, and a Unix socket for kernels without CAN |
 //! | [`protocol`] | motor controllers: ODrive CANSimple, VESC, CiA 402 |
+//! | [`sender`] | which controller sent a frame, for finding what is on a bus |
 //! | [`kinematics`], [`limits`] | kinematics, odometry, limits of velocity and acceleration |
 //! | [`messages`] | the project's own frames, described in `embodied.dbc` |
 //! | [`base`] | all of this as a [`hal::Base`] |
@@ -21,6 +22,7 @@ pub mod limits;
 pub mod messages;
 pub mod protocol;
 pub mod record;
+pub mod sender;
 pub mod socket;
 pub mod stamp;
 pub mod unix;

@@ -2,15 +2,16 @@
 
 use std::os::fd::OwnedFd;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use hal::{Camera, CameraModel, ErrorType, Frame};
 use rustix::io::Errno;
 
 use super::capture::{BorrowedFrame, Capture, Job, Opener};
-use super::config::CameraDeviceConfig;
+use super::config::{CameraDeviceConfig, CameraFormat};
 use super::error::V4l2Error;
-use super::node::{Control, FourCc, Layout, VideoNode, controls, formats};
+use super::node::{Control, FourCc, Interval, Layout, VideoNode, controls, formats};
 use super::remote::RemoteNode;
 use super::stream::Stream;
 use super::sys::KernelNode;
@@ -164,6 +165,49 @@ pub fn open(config: &CameraDeviceConfig) -> Result<Box<dyn VideoNode>, Errno> {
         Some(path) => Box::new(RemoteNode::open(path)?),
         None => Box::new(KernelNode::open(Path::new(&config.device))?),
     })
+}
+
+/// What a camera offers, without starting it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Offer {
+    /// Every pixel format that the camera offers.
+    pub formats: Vec<FourCc>,
+    /// The first of these that the driver reads; `None` if there is none.
+    pub format: Option<CameraFormat>,
+    /// The size of its frames that is nearest to the wanted one, in this format.
+    pub size: (u32, u32),
+    /// Frames per second at this size, if the camera knows them.
+    pub fps: Option<f64>,
+}
+
+/// Asks a camera what it offers instead of frames of a size. It does not start. Blocks for as long as the camera takes to open.
+///
+/// # Errors
+/// When it cannot be opened, or is not a camera.
+pub fn offer(config: &CameraDeviceConfig) -> Result<Offer, V4l2Error> {
+    let device: Arc<str> = config.device.as_str().into();
+    let failed = |step| {
+        let device = Arc::clone(&device);
+        move |errno| V4l2Error::setup(&device, step, errno)
+    };
+    let mut node = open(config).map_err(failed("opening it"))?;
+    let capability = node.capability().map_err(failed("querying its capabilities"))?;
+    if !capability.is_camera() {
+        return Err(V4l2Error::NotACamera { device });
+    }
+    let formats = formats(node.as_mut()).map_err(failed("listing its formats"))?;
+    let code_of = |format: CameraFormat| format.names().iter().find(|code| formats.contains(code));
+    let readable =
+        CameraFormat::ALL.into_iter().find_map(|format| Some((format, *code_of(format)?)));
+    let (width, height) = (config.width, config.height);
+    let Some((format, code)) = readable else {
+        return Ok(Offer { formats, format: None, size: (width, height), fps: None });
+    };
+    let wanted = Layout { width, height, format: code, stride: 0, size: 0, planes: 1 };
+    let got = node.set_layout(wanted).map_err(failed("setting its format"))?;
+    let interval_ns = node.interval(None).ok().and_then(Interval::ns);
+    let fps = interval_ns.map(|ns| 1e9 / ns as f64);
+    Ok(Offer { formats, format: Some(format), size: (got.width, got.height), fps })
 }
 
 /// What was negotiated with a camera, for `check`.

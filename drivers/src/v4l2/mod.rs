@@ -25,7 +25,7 @@ pub mod stream;
 pub mod sys;
 pub mod wire;
 
-pub use camera::{Negotiated, V4l2Camera, check, open};
+pub use camera::{Negotiated, Offer, V4l2Camera, check, offer, open};
 pub use capture::{BorrowedFrame, Capture, Job, Opener};
 pub use config::{CameraDeviceConfig, CameraFormat, Setting};
 pub use error::V4l2Error;

@@ -52,6 +52,14 @@ pub struct Capability {
     pub streaming: bool,
 }
 
+impl Capability {
+    /// Whether the node delivers frames. A camera has other nodes, too, such as for metadata.
+    #[must_use]
+    pub fn is_camera(self) -> bool {
+        (self.capture || self.capture_planes) && self.streaming
+    }
+}
+
 /// Size and memory layout of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Layout {

@@ -70,7 +70,7 @@ impl Stream {
         let capability = node
             .capability()
             .map_err(|errno| V4l2Error::setup(&device, "querying its capabilities", errno))?;
-        if !(capability.capture || capability.capture_planes) || !capability.streaming {
+        if !capability.is_camera() {
             return Err(V4l2Error::NotACamera { device: device.clone() });
         }
         let layout = negotiate_layout(node.as_mut(), config, &device)?;

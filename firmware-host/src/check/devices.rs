@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use drivers::can::protocol::MotorStatus;
-use drivers::can::{BaseConfig, CanError, DifferentialBase, Protocol, open_bus};
+use drivers::can::{BaseConfig, CanError, DifferentialBase, open_bus};
 use drivers::lidar::{AnyLidar, LidarConfig};
 use drivers::stop_line::{StopLine, StopLineConfig};
 use drivers::v4l2::node::FourCc;
@@ -264,11 +264,7 @@ fn test_base(config: &BaseConfig) -> Finding {
     });
     let state = measured.status.state;
     let [left, right] = device.motors().map(describe_motor);
-    let protocol = match config.protocol {
-        Protocol::Odrive => "ODrive",
-        Protocol::Vesc => "VESC",
-        Protocol::Cia402 => "CiA 402",
-    };
+    let protocol = config.protocol.name();
     let details = format!(
         "{protocol}: left (node {}) {left}, right (node {}) {right}",
         config.left_node, config.right_node

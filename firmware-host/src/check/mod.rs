@@ -2,7 +2,7 @@
 
 mod devices;
 mod drive;
-mod nearby;
+pub(crate) mod nearby;
 mod speed;
 mod view;
 

@@ -52,7 +52,8 @@ impl Names {
     }
 }
 
-fn entries(folder: &Path) -> Vec<PathBuf> {
+/// The paths in a folder, sorted; none if it cannot be read.
+pub fn entries(folder: &Path) -> Vec<PathBuf> {
     let mut paths: Vec<_> = std::fs::read_dir(folder)
         .into_iter()
         .flatten()
@@ -62,7 +63,8 @@ fn entries(folder: &Path) -> Vec<PathBuf> {
     paths
 }
 
-fn same_device(folder: &Path, path: &Path) -> Option<PathBuf> {
+/// The entry of a folder that leads to the same device.
+pub fn same_device(folder: &Path, path: &Path) -> Option<PathBuf> {
     let device = path.canonicalize().ok()?;
     entries(folder)
         .into_iter()
@@ -74,7 +76,8 @@ pub fn can_interface(name: &str) -> Option<String> {
     interface(Path::new("/sys/class/net"), name)
 }
 
-fn interface(folder: &Path, name: &str) -> Option<String> {
+/// As [`can_interface`], of the interfaces in this folder.
+pub fn interface(folder: &Path, name: &str) -> Option<String> {
     let configured = folder.join(name);
     if !configured.exists() {
         let others: Vec<_> = entries(folder)
@@ -108,11 +111,13 @@ fn interface(folder: &Path, name: &str) -> Option<String> {
     ))
 }
 
-fn is_can(interface: &Path) -> bool {
+/// Whether an interface is one of CAN.
+pub fn is_can(interface: &Path) -> bool {
     attribute(interface, "type").trim() == ARPHRD_CAN
 }
 
-fn attribute(interface: &Path, file: &str) -> String {
+/// The text of a file of the kernel; empty if it cannot be read.
+pub fn attribute(interface: &Path, file: &str) -> String {
     std::fs::read_to_string(interface.join(file)).unwrap_or_default()
 }
 

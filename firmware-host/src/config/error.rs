@@ -28,9 +28,16 @@ pub enum ConfigError {
     },
 }
 
+/// The parser's words for a key or a section that is there twice.
+const TWICE: &str = "duplicate key";
+const TWICE_WAY_OUT: &str = ": the section or the key is above already; write there what is to be added, or give its full name at the \
+     top of the file, as `devices.camera.latency_ms = 40`";
+
 impl ConfigError {
     pub(super) fn not_toml(path: &Path, error: &toml::de::Error) -> Self {
-        Self::NotToml { path: path.to_path_buf(), message: error.to_string() }
+        let way_out = if error.message() == TWICE { TWICE_WAY_OUT } else { "" };
+        let message = format!("{}{way_out}", error.to_string().trim_end());
+        Self::NotToml { path: path.to_path_buf(), message }
     }
 }
 

@@ -339,3 +339,11 @@ fn corners_are_checked_one_by_one() {
         );
     }
 }
+
+#[test]
+fn a_section_that_is_there_twice_is_refused_with_the_way_out() {
+    let text = "devices.camera.width = 640\n[devices.camera]\nlatency_ms = 40.0\n";
+    let error = refusal(text);
+    assert!(error.contains("line 2") && error.contains("duplicate key: "), "{error}");
+    assert!(error.contains("`devices.camera.latency_ms = 40`"), "{error}");
+}
