@@ -184,7 +184,7 @@ fn a_model_that_behaves_is_kept_and_its_run_replays_exactly_with_the_store() {
     let robot = Robot::new();
     robot.has("guess");
     let bytes = std::fs::read(model_file("better")).unwrap();
-    robot.store().install(&bytes, "", "better").unwrap();
+    robot.put(&bytes, "better");
     robot.explore("run", "400", &[]);
     let state = robot.state();
     assert_eq!((state.trial_starts, state.models.len()), (None, 2));
@@ -203,9 +203,9 @@ fn a_model_that_passes_the_gate_and_then_misbehaves_is_rolled_back_within_its_tr
     let robot = Robot::new();
     let guess = robot.has("guess");
     // On held-out frames without dark corners this model would pass. The test installs it directly.
-    let mut store = robot.store();
+    let store = robot.store();
     let bytes = std::fs::read(model_file("nan_in_the_dark")).unwrap();
-    store.install(&bytes, "", "nan_in_the_dark").unwrap();
+    robot.put(&bytes, "nan_in_the_dark");
     robot.explore("run", "60", &[]);
     assert_eq!(robot.state(), State { models: vec![guess.clone()], trial_starts: None });
     let history = store.history();
@@ -224,7 +224,7 @@ fn a_trial_goes_on_over_restarts_and_is_compared_with_what_was_counted_before_th
     let resident = robot.store().counts().resident;
     assert_eq!((resident.digest.as_deref(), resident.counts.ticks), (Some(&*guess), 200));
     let better = std::fs::read(model_file("better")).unwrap();
-    robot.store().install(&better, "", "better").unwrap();
+    robot.put(&better, "better");
     for run in 1..=5 {
         robot.explore(&format!("run{run}"), "70", &[]);
         let saved = robot.store().counts();
@@ -242,7 +242,7 @@ fn a_model_whose_depth_is_never_right_is_rolled_back_in_its_trial() {
     let guess = robot.has("guess");
     // Without counts of the resident model: the absolute limit holds.
     let far = std::fs::read(model_file("far")).unwrap();
-    robot.store().install(&far, "", "far").unwrap();
+    robot.put(&far, "far");
     robot.explore("run", "120", &[]);
     assert_eq!(robot.state().current(), Some(&*guess));
     let history = robot.store().history();
@@ -255,7 +255,7 @@ fn a_model_that_is_blind_near_the_robot_is_rolled_back_in_its_trial() {
     let robot = Robot::with(&CONFIG.replace("trial_m = 0.2", "trial_m = 30"));
     let better = robot.has("better");
     let blind = std::fs::read(model_file("blind_near")).unwrap();
-    robot.store().install(&blind, "", "blind_near").unwrap();
+    robot.put(&blind, "blind_near");
     robot.explore("run", "1500", &[]);
     let history = robot.store().history();
     let last = history.entries.last().unwrap();
@@ -310,7 +310,7 @@ fn a_robot_with_a_read_only_store_starts_with_the_model_that_passed_its_trial() 
     let robot = Robot::new();
     let guess = robot.has("guess");
     let better = std::fs::read(model_file("better")).unwrap();
-    robot.store().install(&better, "", "better").unwrap();
+    robot.put(&better, "better");
     let before = robot.state();
     // A folder in its place makes the file impossible to write.
     std::fs::create_dir(robot.path("store/current.partial")).unwrap();
@@ -331,6 +331,44 @@ fn digest(swap: Option<Swap>) -> Option<(String, bool)> {
 }
 
 #[test]
+fn a_model_whose_key_is_not_trusted_any_more_is_not_used_and_comes_back_with_the_key() {
+    let robot = Robot::new();
+    let guess = robot.has("guess");
+    let config = Config::load(&robot.path("robot.toml")).unwrap();
+    let start = || Keeper::start(&robot.path("store"), None, &config).unwrap().1;
+    assert_eq!(start().network.unwrap().digest(), guess);
+    let keys = std::fs::read(robot.path("trusted_keys")).unwrap();
+    let other = signed_model::generate_keys(&robot.path("other_key"), None, "other").unwrap();
+    for revoked in [other.as_str(), "# no key\n"] {
+        std::fs::write(robot.path("trusted_keys"), revoked).unwrap();
+        assert!(start().network.is_none());
+        let (store, config) = (robot.text("store"), robot.text("robot.toml"));
+        let listed = run(&["model", "list", "--store", &store, "--config", &config]);
+        let listed = String::from_utf8_lossy(&listed.stdout).into_owned();
+        assert!(listed.contains("NOT TRUSTED: not used"), "{listed}");
+    }
+    std::fs::write(robot.path("trusted_keys"), keys).unwrap();
+    assert_eq!(start().network.unwrap().digest(), guess);
+}
+
+#[test]
+fn a_model_that_was_put_into_the_store_without_a_signature_is_not_used() {
+    let robot = Robot::new();
+    let guess = robot.has("guess");
+    let better = std::fs::read(model_file("better")).unwrap();
+    robot.store().install(&better, "", "better").unwrap();
+    let config = Config::load(&robot.path("robot.toml")).unwrap();
+    let (_, start) = Keeper::start(&robot.path("store"), None, &config).unwrap();
+    // The one before it is signed.
+    assert_eq!(start.network.unwrap().digest(), guess);
+    assert_eq!(start.on_trial, None);
+    // The model that comes with the program needs no signature.
+    let (_, first) =
+        Keeper::start(&robot.path("new_store"), Some(&model_file("guess")), &config).unwrap();
+    assert_eq!(first.network.unwrap().digest(), guess);
+}
+
+#[test]
 fn a_model_that_cannot_be_loaded_is_rolled_back_and_the_next_poll_returns_the_one_before() {
     let robot = Robot::new();
     let guess = robot.has("guess");
@@ -339,10 +377,10 @@ fn a_model_that_cannot_be_loaded_is_rolled_back_and_the_next_poll_returns_the_on
     assert_eq!(start.network.unwrap().digest(), guess);
     assert_eq!(digest(keeper.poll()), None);
     let better = std::fs::read(model_file("better")).unwrap();
-    robot.store().install(&better, "", "better").unwrap();
+    robot.put(&better, "better");
     assert_eq!(digest(keeper.poll()), Some((blake3::hash(&better).to_hex().to_string(), true)));
     // While that model is on trial, another one is installed whose file is not a network.
-    robot.store().install(b"rot", "", "rot").unwrap();
+    robot.put(b"rot", "rot");
     assert_eq!(digest(keeper.poll()), None);
     assert_eq!(robot.state(), State { models: vec![guess.clone()], trial_starts: None });
     assert_eq!(digest(keeper.poll()), Some((guess, false)));

@@ -138,7 +138,7 @@ fn killed_while_swapping(name: &str, after_trial: fn(guess: &str, new: &str) -> 
     let old = State { models: vec![guess.clone()], trial_starts: None };
     let end = after_trial(&guess, &new);
     let out = robot.path("run");
-    robot.store().install(&bytes, "", name).unwrap();
+    robot.put(&bytes, name);
     let began = Instant::now();
     assert!(drive(&robot, &out, "150").wait().unwrap().success());
     assert_eq!(valid_state(&robot), end);
@@ -157,7 +157,7 @@ fn killed_while_swapping(name: &str, after_trial: fn(guess: &str, new: &str) -> 
         let mut child = drive(&robot, &out, "150");
         moments.until(&mut child, || out.join("recording_0000.mcap").exists()).unwrap();
         assert!(out.join("recording_0000.mcap").exists(), "the robot does not drive");
-        robot.store().install(&bytes, "", name).unwrap();
+        robot.put(&bytes, name);
         moments.wait(&mut child, || kills::listing(&robot.path("store"))).unwrap();
         kills += u64::from(child.try_wait().unwrap().is_none());
         child.kill().unwrap();
@@ -174,10 +174,9 @@ fn killed_while_swapping(name: &str, after_trial: fn(guess: &str, new: &str) -> 
         let summary: serde_json::Value = serde_json::from_slice(&summary).unwrap();
         assert_eq!(summary["model"].as_str(), state.current());
         let again = valid_state(&robot);
-        assert_eq!(
-            again,
-            State { trial_starts: state.trial_starts.map(|starts| starts + 1), ..state }
-        );
+        let started = State { trial_starts: state.trial_starts.map(|starts| starts + 1), ..state };
+        // A bad model may show what it is in these two frames, too.
+        assert!(again == started || again == end, "{again:?}");
     }
     println!(
         "{name}: {kills} kills in {tries} drives, {trials} on trial, {ends} after the trial's end"

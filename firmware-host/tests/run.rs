@@ -563,6 +563,8 @@ fn killed_in_the_middle_the_wheels_stand_and_the_recording_replays() {
 /// The robot's models, as another process sees them.
 struct Models {
     store: Store,
+    /// The key that signs them.
+    key: PathBuf,
     /// Turns that were left out while nothing happened but this swap.
     left_out: Vec<u64>,
 }
@@ -577,10 +579,16 @@ impl Models {
         self.left_out.push(left_out() - before);
     }
 
+    fn sign(&self, model: &[u8], name: &str) -> String {
+        let key = signed_model::read_secret_key(&self.key, || panic!("no password")).unwrap();
+        signed_model::sign(model, name, &key).unwrap()
+    }
+
     fn install(&mut self, scene: &Scene, name: &str) -> String {
         let model = std::fs::read(model(name)).unwrap();
         let digest = blake3::hash(&model).to_hex().to_string();
-        self.swap(scene, &digest, |store| store.install(&model, "", name).unwrap());
+        let signature = self.sign(&model, name);
+        self.swap(scene, &digest, |store| store.install(&model, &signature, name).unwrap());
         digest
     }
 
@@ -604,13 +612,18 @@ fn drives(scene: &Scene) -> Option<String> {
 
 #[test]
 fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out_for_it() {
-    let more = "\n[models]\nstore = \"{}/models\"\ntrial_ticks = 20\ntrial_m = 0.1\n";
+    let more = "\n[models]\nstore = \"{}/models\"\ntrusted_keys = \"{}/trusted_keys\"\ntrial_ticks = 20\ntrial_m = 0.1\n";
     let guess = model("guess");
     let mut scene = Scene::with(Protocol::Odrive, more, &["--model", guess.to_str().unwrap()]);
     scene.drives_first();
     // The network that came with the program is the store's first.
-    let mut models =
-        Models { store: Store::open(&scene.path("models")).unwrap(), left_out: Vec::new() };
+    let mut models = Models {
+        store: Store::open(&scene.path("models")).unwrap(),
+        key: scene.path("key"),
+        left_out: Vec::new(),
+    };
+    let line = signed_model::generate_keys(&models.key, None, "workshop").unwrap();
+    std::fs::write(scene.path("trusted_keys"), line).unwrap();
     let first = models.state().current().unwrap().to_owned();
     assert_eq!(first, blake3::hash(&std::fs::read(guess).unwrap()).to_hex().to_string());
     assert_eq!(drives(&scene).as_ref(), Some(&first));
@@ -629,7 +642,8 @@ fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out
     scene.wait("the trial's end", |_| models.last() == What::Kept);
     // One that misbehaves is taken back by the robot itself.
     let bad = std::fs::read(model("nan_in_the_dark")).unwrap();
-    models.store.install(&bad, "", "nan_in_the_dark").unwrap();
+    let signature = models.sign(&bad, "nan_in_the_dark");
+    models.store.install(&bad, &signature, "nan_in_the_dark").unwrap();
     scene.wait("a rollback", |_| models.last() == What::RolledBack);
     let why = models.store.history().entries.last().unwrap().why.clone();
     assert!(why.contains("NaN"), "{why}");

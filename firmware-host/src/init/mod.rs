@@ -69,7 +69,8 @@ pub fn run(args: &InitArgs) -> Result<ExitCode> {
     };
     write(&Correction::default())?;
     dialogue.say(&format!("\nWrote {}.\n", args.out.display()))?;
-    let verdict = check::run(&CheckArgs { config: Some(args.out.clone()), devices: true })?;
+    let config = Some(args.out.clone());
+    let verdict = check::run(&CheckArgs { config, devices: true, drive: false, yes: false })?;
     if args.turn_wheels {
         let base = Config::load(&args.out)?.devices.base;
         turn_wheels::run(&mut dialogue, &base, &write)?;

@@ -151,7 +151,7 @@ pub fn run(args: &ModelArgs) -> Result<ExitCode> {
     let config = config_path.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
     match &args.command {
         ModelCommand::Install(install) => self::install(args, install, config_path, &config),
-        ModelCommand::List => list(&open_existing(args, &config)?, args.json),
+        ModelCommand::List => list(&open_existing(args, &config)?, args.json, &config),
         ModelCommand::Verify(verify) => self::verify(args, verify, &config),
         ModelCommand::Rollback(rollback) => {
             roll_back(&mut open_existing(args, &config)?, &rollback.why, args.json)
@@ -338,7 +338,17 @@ fn roll_back(store: &mut Store, why: &str, as_json: bool) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn list(store: &Store, as_json: bool) -> Result<ExitCode> {
+/// Whether the robot would use an installed model: it came with the program, or a key that is trusted now has signed it.
+fn is_trusted(store: &Store, digest: &str, model: &[u8], config: &Config) -> bool {
+    match store.signature(digest) {
+        Err(_) => false,
+        Ok(None) => true,
+        Ok(Some(signature)) => keys(None, config)
+            .is_ok_and(|keys| signed_model::verify(model, &signature, &keys).is_ok()),
+    }
+}
+
+fn list(store: &Store, as_json: bool, config: &Config) -> Result<ExitCode> {
     let state = store.state();
     let history = store.history();
     if as_json {
@@ -356,7 +366,11 @@ fn list(store: &Store, as_json: bool) -> Result<ExitCode> {
             0 => "current",
             _ => "previous",
         };
-        let damage = if store.read_model(digest).is_ok() { "" } else { ", DAMAGED" };
+        let damage = match store.read_model(digest) {
+            Err(_) => ", DAMAGED",
+            Ok(model) if !is_trusted(store, digest, &model, config) => ", NOT TRUSTED: not used",
+            Ok(_) => "",
+        };
         println!("{}  {}  {role}{damage}", short(digest), history.name(digest));
     }
     if state.models.is_empty() {

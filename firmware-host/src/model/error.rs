@@ -32,6 +32,9 @@ pub enum StoreError {
     /// A model is missing, or its content does not match the digest in its name.
     #[error("the model {digest} is missing or damaged in {}; `firmware-host model rollback` goes back to the one before it", dir.display())]
     Model { digest: String, dir: PathBuf },
+    /// A model has no signature.
+    #[error("the model {digest} in {} has no signature and did not come with the program; install it with `firmware-host model install`", dir.display())]
+    Unsigned { digest: String, dir: PathBuf },
     /// A rollback was requested, but no model is installed.
     #[error("there is no model in {} to roll back: the robot already uses coarse depth only", dir.display())]
     Empty { dir: PathBuf },
@@ -42,7 +45,9 @@ impl StoreError {
     pub fn kind(&self) -> StoreErrorKind {
         match self {
             Self::Folder { .. } | Self::Write { .. } => StoreErrorKind::Disk,
-            Self::State { .. } | Self::Model { .. } => StoreErrorKind::Damaged,
+            Self::State { .. } | Self::Model { .. } | Self::Unsigned { .. } => {
+                StoreErrorKind::Damaged
+            }
             Self::Empty { .. } => StoreErrorKind::Missing,
         }
     }

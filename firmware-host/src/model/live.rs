@@ -17,6 +17,7 @@ use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
 use anyhow::{Context, Result};
+use signed_model::TrustedKeys;
 
 use super::counts::{Counted, SavedCounts};
 use super::error::StoreErrorKind;
@@ -72,8 +73,10 @@ impl Keeper {
     /// Opens the store and loads the network that the robot starts with and, if that one is on
     /// trial, the one to go back to. `first` is put into a store that never had a model.
     ///
-    /// A current model that cannot be loaded is rolled back. If the store's own file is damaged,
-    /// the store is rolled back to a model that has passed its trial.
+    /// A current model that cannot be loaded is rolled back. A model whose signature is not trusted
+    /// any more is not used, and stays in the store: the robot starts with the one before it, or
+    /// with coarse depth. If the store's own file is damaged, the store is rolled back to a model
+    /// that has passed its trial.
     ///
     /// # Errors
     /// If the store cannot be used, or `first` is needed and cannot be read.
@@ -90,14 +93,17 @@ impl Keeper {
                     network = Some(loaded);
                     break;
                 }
-                Err(error) => {
+                Err(NotLoaded::Untrusted(why)) => {
+                    tracing::error!("the model {digest} is not used: {why:#}");
+                }
+                Err(NotLoaded::Broken(error)) => {
                     keeper
                         .give_up(&digest, &format!("rolled back: it cannot be loaded: {error:#}"));
-                    // Also go on in memory, in case the store cannot be written.
-                    state.models.remove(0);
-                    state.trial_starts = None;
                 }
             }
+            // Also go on in memory, in case the store cannot be written.
+            state.models.remove(0);
+            state.trial_starts = None;
         }
         let on_trial = state.current().filter(|_| state.trial_starts.is_some()).map(str::to_owned);
         let resident = state
@@ -145,13 +151,26 @@ impl Keeper {
         Ok(())
     }
 
-    fn load(&self, digest: &str) -> Result<DepthNetwork> {
-        let bytes = self.store.read_model(digest)?;
+    fn load(&self, digest: &str) -> Result<DepthNetwork, NotLoaded> {
+        let bytes =
+            self.store.read_model(digest).map_err(|error| NotLoaded::Broken(error.into()))?;
+        self.check_signature(digest, &bytes).map_err(NotLoaded::Untrusted)?;
         setup::network_of(&bytes, &self.config.camera.model(), &self.config)
+            .map_err(NotLoaded::Broken)
+    }
+
+    /// Checks a model's signature against the keys that the configuration trusts now, whichever keys
+    /// it was installed with.
+    fn check_signature(&self, digest: &str, model: &[u8]) -> Result<()> {
+        if let Some(signature) = self.store.signature(digest)? {
+            let keys = TrustedKeys::read(Path::new(&self.config.models.trusted_keys))?;
+            signed_model::verify(model, &signature, &keys)?;
+        }
+        Ok(())
     }
 
     /// Loads the current model of the store if it has changed. A model that cannot be loaded is
-    /// rolled back.
+    /// rolled back; one that is not trusted is not used.
     pub fn poll(&mut self) -> Option<Swap> {
         let state = self.store.state().inspect_err(|error| tracing::error!("{error}")).ok()?;
         if state.current() == self.seen.as_deref() {
@@ -169,7 +188,12 @@ impl Keeper {
                     on_trial: state.trial_starts.is_some(),
                 })
             }
-            Err(error) => {
+            Err(NotLoaded::Untrusted(why)) => {
+                tracing::error!("the model {digest} is not used: {why:#}");
+                self.seen = Some(digest.to_owned());
+                None
+            }
+            Err(NotLoaded::Broken(error)) => {
                 // The model that is current now may differ from the one in use: the next poll sees
                 // it.
                 if !self.give_up(digest, &format!("rolled back: it cannot be loaded: {error:#}")) {
@@ -218,6 +242,14 @@ impl Keeper {
             })
             .is_ok()
     }
+}
+
+/// Why a model is not used.
+enum NotLoaded {
+    /// No key that is trusted now has signed it.
+    Untrusted(anyhow::Error),
+    /// It is damaged, or not a network for this robot.
+    Broken(anyhow::Error),
 }
 
 /// The networks that the robot starts with.

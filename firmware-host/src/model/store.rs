@@ -25,6 +25,8 @@ use super::disk::{PARTIAL, RealDisk, StoreDisk, replace};
 use super::error::StoreError;
 use super::history::{Entry, History, What};
 
+/// Extension of the file that marks the model that came with the program: it has no signature.
+const CAME_WITH_THE_PROGRAM: &str = "program";
 /// Number of models that are kept, including the current one.
 const KEPT: usize = 4;
 /// A model on trial is rolled back if the robot was started this number of times with it and never
@@ -141,6 +143,25 @@ impl Store {
             .ok_or_else(|| StoreError::Model { digest: digest.to_owned(), dir: self.dir.clone() })
     }
 
+    /// The signature with which a model was installed; `None` for the model that came with the program.
+    ///
+    /// # Errors
+    /// [`StoreError::Unsigned`] for a model that has no signature and did not come with the program.
+    pub fn signature(&self, digest: &str) -> Result<Option<String>, StoreError> {
+        match fs::read_to_string(self.beside_model(digest, "minisig")) {
+            Ok(signature) => Ok(Some(signature)),
+            Err(_) if self.beside_model(digest, CAME_WITH_THE_PROGRAM).exists() => Ok(None),
+            Err(_) => {
+                Err(StoreError::Unsigned { digest: digest.to_owned(), dir: self.dir.clone() })
+            }
+        }
+    }
+
+    /// A file that belongs to a model.
+    fn beside_model(&self, digest: &str, extension: &str) -> PathBuf {
+        self.dir.join("models").join(format!("{digest}.{extension}"))
+    }
+
     /// Whether the store never had a model.
     #[must_use]
     pub fn is_new(&self) -> bool {
@@ -160,6 +181,7 @@ impl Store {
         }
         let digest = blake3::hash(model).to_hex().to_string();
         self.put(&self.model_path(&digest), model)?;
+        self.put(&self.beside_model(&digest, CAME_WITH_THE_PROGRAM), name.as_bytes())?;
         self.set(&State { models: vec![digest.clone()], trial_starts: None })?;
         self.add_line(Entry::now(
             What::Kept,
@@ -180,7 +202,7 @@ impl Store {
         let digest = blake3::hash(model).to_hex().to_string();
         let old = self.state()?;
         self.put(&self.model_path(&digest), model)?;
-        self.put(&self.dir.join("models").join(format!("{digest}.minisig")), signature.as_bytes())?;
+        self.put(&self.beside_model(&digest, "minisig"), signature.as_bytes())?;
         let unproven = usize::from(old.trial_starts.is_some());
         let others = old.models.iter().skip(unproven).filter(|other| **other != digest).cloned();
         let models: Vec<String> =
