@@ -18,7 +18,7 @@
 //! 3. `entry`: what is known about one segment;
 //! 4. [`wire`]: the messages of the pull protocol;
 //! 5. `error`: [`StoreError`];
-//! 6. `root`, `marks`, `catalogue`, [`recover`](recover()): a store on a local disk;
+//! 6. [`private`], `root`, `marks`, `catalogue`, [`recover`](recover()): a store on a local disk;
 //! 7. `send`, [`serve`](serve()): the robot's side of a pull;
 //! 8. [`source`], [`pull`]: the workstation's side of a pull;
 //! 9. [`export`] and `bucket`: other formats and object stores.
@@ -39,6 +39,7 @@ mod fields;
 mod index;
 mod marks;
 mod name;
+pub mod private;
 pub mod pull;
 mod records;
 mod recover;

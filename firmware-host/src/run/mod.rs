@@ -46,7 +46,7 @@ use crate::keep_out;
 use crate::live::{self, Live};
 use crate::map::KeptMap;
 use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
-use crate::report::atomic::prepare_dir;
+use crate::report::atomic::prepare_private_dir;
 use crate::report::latency::Stage;
 use crate::report::summary::{CameraLatency, LidarLine, Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
@@ -92,7 +92,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
         args.map.as_deref().map(|path| KeptMap::open(path, &mut robot, &config)).transpose()?;
     let poses = PoseSocket::open(&config.run.pose_socket)?;
     let out = &args.out.clone().unwrap_or_else(|| named_by_time(&config));
-    prepare_dir(out)?;
+    prepare_private_dir(out)?;
     let plan = args
         .faults
         .plan(args.frames.map_or(RANDOM_FAULTS_S, |frames| frames as f64 * config.base.tick_s()));
