@@ -6,7 +6,7 @@
 //! ```text
 //! STORE/RUN/recording_0007.mcap           a segment
 //! STORE/RUN/recording_0007.mcap.pulled    a workstation has a copy: its digest, size and modification time
-//! STORE/RUN/recording_0007.mcap.keep      the recorder's quota never deletes this segment
+//! STORE/RUN/recording_0007.mcap.keep      the recorder's quota keeps this segment
 //! ```
 //!
 //! This crate writes only the marker `.pulled` into a store, and it follows no symbolic link out of it.
@@ -57,7 +57,7 @@ pub use cpu_features::CpuFeatures;
 pub use digest::{Digest, Hasher};
 pub use entry::{Entry, Pulled, State, Times};
 pub use error::{ErrorKind, StoreError};
-pub use marks::{KEEP, PULLED, keep};
+pub use marks::{KEEP, PULLED, is_kept_for_event, keep_for_event};
 pub use name::{BadName, Name, is_segment_name};
 pub use recover::{Recovered, recover, recover_file};
 pub use root::Root;

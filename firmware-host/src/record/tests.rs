@@ -551,7 +551,12 @@ fn any_operation_of_the_disk_may_fail_and_the_robot_goes_on_and_its_recording_is
         for for_good in [false, true] {
             let dir = tempfile::tempdir().unwrap();
             let disk = FailingDisk { left: Arc::new(AtomicU64::new(operation)), error, for_good };
-            let quota = Quota { buffer: dir.path().to_owned(), bytes: None, free_bytes: 0 };
+            let quota = Quota {
+                buffer: dir.path().to_owned(),
+                bytes: None,
+                free_bytes: 0,
+                kept_percent: 50,
+            };
             let options = RecorderOptions {
                 segment_ns: 4_000_000_000,
                 queue_ticks: 1000,

@@ -218,7 +218,8 @@ fn quota(out: &Path, config: &Config) -> Result<Quota> {
     let buffer = out.parent().unwrap_or(&out).to_owned();
     let bytes = |gib: f64| (gib * (1u64 << 30) as f64) as u64;
     let most = Some(bytes(config.recording.quota_gib)).filter(|most| *most > 0);
-    Ok(Quota { buffer, bytes: most, free_bytes: bytes(config.recording.free_gib) })
+    let free_bytes = bytes(config.recording.free_gib);
+    Ok(Quota { buffer, bytes: most, free_bytes, kept_percent: config.recording.kept_percent })
 }
 
 fn report(
