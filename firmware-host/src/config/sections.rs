@@ -172,6 +172,9 @@ hal::settings! {
         /// Share of `quota_gib`, or of a smaller disk, for the segments around contacts and stops that need a person. Within it
         /// they are not removed; beyond it, the oldest lose this protection. Only on a robot.
         kept_percent: u64 = 50, in 0..=100, unit "%";
+        /// Segments that are older are removed before a new one begins, also kept ones and those that no workstation has pulled.
+        /// 0 sets no limit. Only on a robot.
+        max_age_days: u64 = 0, in 0..=36500, unit "days";
     }
 }
 

@@ -1,6 +1,7 @@
 //! Frees space on the disk for the next segment: removes the oldest ones.
 
 use std::cmp::Reverse;
+use std::ops::AddAssign;
 use std::path::{Path, PathBuf};
 
 use segment_store::{Catalogue, Entry, KEEP, Name, PULLED, Root, is_kept_for_event};
@@ -23,6 +24,8 @@ pub struct Quota {
     pub free_bytes: u64,
     /// Share of `bytes`, or of a smaller disk, that segments may use which are kept because of an event, percent.
     pub kept_percent: u64,
+    /// Segments that are older are removed, days; 0 for no limit.
+    pub max_age_days: u64,
 }
 
 impl Quota {
@@ -42,6 +45,14 @@ pub struct Removed {
     pub not_pulled: u64,
     /// Their total size.
     pub bytes: u64,
+}
+
+impl AddAssign for Removed {
+    fn add_assign(&mut self, more: Self) {
+        self.segments += more.segments;
+        self.not_pulled += more.not_pulled;
+        self.bytes += more.bytes;
+    }
 }
 
 /// Removes segments until the quota is met: first those that a workstation has pulled, then the others, the oldest first.
@@ -76,18 +87,23 @@ pub(super) fn free_space(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Rem
         if path == next || is_simulated(&path) {
             continue;
         }
-        if let Err(error) = disk.remove(&path) {
-            tracing::warn!("cannot remove {} to free space: {error}", path.display());
-            continue;
-        }
-        remove_marks(disk, &path);
-        tracing::info!("removed {} to free space", path.display());
-        total -= segment.bytes;
-        removed.segments += 1;
-        removed.not_pulled += u64::from(segment.pulled_digest().is_none());
-        removed.bytes += segment.bytes;
+        let this = remove_segment(disk, &segment, &path);
+        total -= this.bytes;
+        removed += this;
     }
     removed
+}
+
+/// Removes a segment with its marks. Returns what was removed: nothing when the disk refuses.
+pub(super) fn remove_segment(disk: &mut dyn Disk, segment: &Entry, path: &Path) -> Removed {
+    if let Err(error) = disk.remove(path) {
+        tracing::warn!("cannot remove the old segment {}: {error}", path.display());
+        return Removed::default();
+    }
+    remove_marks(disk, path);
+    tracing::info!("removed the old segment {}", path.display());
+    let not_pulled = u64::from(segment.pulled_digest().is_none());
+    Removed { segments: 1, not_pulled, bytes: segment.bytes }
 }
 
 /// The segments that an operator keeps, and the newest of those that are kept because of an event, up to `most_bytes` of
@@ -125,12 +141,12 @@ fn age_by_number(segments: &mut [Entry]) {
 }
 
 /// A simulated run is in a folder that the user chose, not in the robot's buffer.
-fn is_simulated(segment: &Path) -> bool {
+pub(super) fn is_simulated(segment: &Path) -> bool {
     open_segment(segment).is_ok_and(|reader| reader.header().run.scene.is_some())
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::io;
     use std::time::SystemTime;
 
@@ -166,7 +182,12 @@ mod tests {
     }
 
     /// Records a run of `segments` segments into `buffer`, with older times than later recordings.
-    fn recorded(buffer: &Path, run: &str, segments: u64, scene: Option<&str>) {
+    pub(in crate::record) fn recorded(
+        buffer: &Path,
+        run: &str,
+        segments: u64,
+        scene: Option<&str>,
+    ) {
         let options =
             RecorderOptions { segment_ns: 1, ..RecorderOptions::simulation(buffer.join(run)) };
         let header =
@@ -190,7 +211,7 @@ mod tests {
         Catalogue::open(buffer).unwrap().1.entries
     }
 
-    fn left(buffer: &Path) -> Vec<String> {
+    pub(in crate::record) fn left(buffer: &Path) -> Vec<String> {
         catalogue(buffer).iter().map(|entry| entry.name.to_string()).collect()
     }
 
@@ -198,8 +219,14 @@ mod tests {
         catalogue(buffer).iter().map(|entry| entry.bytes).sum()
     }
 
-    fn quota(buffer: &Path, free_bytes: u64) -> Quota {
-        Quota { buffer: buffer.to_owned(), bytes: None, free_bytes, kept_percent: 50 }
+    pub(in crate::record) fn quota(buffer: &Path, free_bytes: u64) -> Quota {
+        Quota {
+            buffer: buffer.to_owned(),
+            bytes: None,
+            free_bytes,
+            kept_percent: 50,
+            max_age_days: 0,
+        }
     }
 
     #[test]

@@ -99,7 +99,7 @@ mod tests {
 
     fn robot(run: &Path) -> RecorderOptions {
         let buffer = run.parent().unwrap().to_owned();
-        let quota = Quota { buffer, bytes: None, free_bytes: 0, kept_percent: 50 };
+        let quota = Quota { buffer, bytes: None, free_bytes: 0, kept_percent: 50, max_age_days: 0 };
         RecorderOptions { quota: Some(quota), ..RecorderOptions::robot(run) }
     }
 

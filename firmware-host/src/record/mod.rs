@@ -19,6 +19,7 @@
 //! and `.keep` beside it is not removed. The recorder writes this file around a contact or a stop that needs a person; of
 //! the segments that it keeps so, the oldest lose their protection when they exceed a share of the quota.
 
+mod age;
 mod disk;
 mod error;
 mod faulty_disk;

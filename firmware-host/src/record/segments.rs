@@ -11,6 +11,7 @@ use runtime::recording::{
     RecordedTick, RecordingWriter, RunDigest, RunHeader, SegmentHeader, Views,
 };
 
+use super::age::remove_expired;
 use super::disk::{Disk, SegmentFile, Sink};
 use super::error::RecordError;
 use super::free_space::free_space;
@@ -124,10 +125,9 @@ impl Segments {
         let segment = self.summary.segments;
         let path = self.options.dir.join(segment_name(segment));
         if let Some(quota) = &self.options.quota {
-            let removed = free_space(self.disk.as_mut(), quota, &path);
-            self.summary.removed.segments += removed.segments;
-            self.summary.removed.not_pulled += removed.not_pulled;
-            self.summary.removed.bytes += removed.bytes;
+            let disk = self.disk.as_mut();
+            self.summary.removed += remove_expired(disk, quota, &path, SystemTime::now());
+            self.summary.removed += free_space(disk, quota, &path);
         }
         let file = match self.first_file.take() {
             Some(file) => file,

@@ -556,6 +556,7 @@ fn any_operation_of_the_disk_may_fail_and_the_robot_goes_on_and_its_recording_is
                 bytes: None,
                 free_bytes: 0,
                 kept_percent: 50,
+                max_age_days: 0,
             };
             let options = RecorderOptions {
                 segment_ns: 4_000_000_000,

@@ -219,7 +219,13 @@ fn quota(out: &Path, config: &Config) -> Result<Quota> {
     let bytes = |gib: f64| (gib * (1u64 << 30) as f64) as u64;
     let most = Some(bytes(config.recording.quota_gib)).filter(|most| *most > 0);
     let free_bytes = bytes(config.recording.free_gib);
-    Ok(Quota { buffer, bytes: most, free_bytes, kept_percent: config.recording.kept_percent })
+    Ok(Quota {
+        buffer,
+        bytes: most,
+        free_bytes,
+        kept_percent: config.recording.kept_percent,
+        max_age_days: config.recording.max_age_days,
+    })
 }
 
 fn report(
