@@ -78,7 +78,7 @@ pub enum Command {
     Init(InitArgs),
     /// Check a configuration file and print every value in effect, or check the connected devices.
     Check(CheckArgs),
-    /// List, verify, recover, export and serve recorded runs.
+    /// List, verify, recover, export, erase and serve recorded runs.
     Buffer(BufferArgs),
     /// Print a completion script: `source <(firmware-host completions bash)` completes in this shell.
     Completions {
@@ -566,6 +566,14 @@ pub enum BufferTask {
         /// The file (mcap) or directory (other formats) to create. It must not exist.
         #[arg(long, value_name = "PATH")]
         out: PathBuf,
+    },
+    /// Erase one run from this computer: all files of its directory. Prints a receipt with the digest, size and name of each.
+    Erase {
+        /// The --out directory of one run.
+        dir: PathBuf,
+        /// Erase. Without it, only the receipt is printed and the exit code is 1.
+        #[arg(long)]
+        yes: bool,
     },
     /// Answer the requests of pull-buffer, which runs this command over ssh, on standard input and output. Writes only markers
     /// for the segments that were pulled.

@@ -95,7 +95,7 @@ pub struct Entry {
     pub ticks: Option<u64>,
     /// The number of events (stops, refusals, choices); known only with an index.
     pub events: Option<u64>,
-    /// There is a `.keep` marker, so the robot never deletes the segment.
+    /// There is a `.keep` marker: an operator or an event protects the segment from the quota.
     pub keep: bool,
     pub pulled: Pulled,
 }

@@ -6,7 +6,7 @@
 //! ```text
 //! STORE/RUN/recording_0007.mcap           a segment
 //! STORE/RUN/recording_0007.mcap.pulled    a workstation has a copy: its digest, size and modification time
-//! STORE/RUN/recording_0007.mcap.keep      the recorder's quota never deletes this segment
+//! STORE/RUN/recording_0007.mcap.keep      the recorder's quota keeps this segment
 //! ```
 //!
 //! This crate writes only the marker `.pulled` into a store, and it follows no symbolic link out of it.
@@ -18,7 +18,7 @@
 //! 3. `entry`: what is known about one segment;
 //! 4. [`wire`]: the messages of the pull protocol;
 //! 5. `error`: [`StoreError`];
-//! 6. `root`, `marks`, `catalogue`, [`recover`](recover()): a store on a local disk;
+//! 6. [`private`], `root`, `marks`, `catalogue`, [`recover`](recover()): a store on a local disk;
 //! 7. `send`, [`serve`](serve()): the robot's side of a pull;
 //! 8. [`source`], [`pull`]: the workstation's side of a pull;
 //! 9. [`export`] and `bucket`: other formats and object stores.
@@ -39,6 +39,7 @@ mod fields;
 mod index;
 mod marks;
 mod name;
+pub mod private;
 pub mod pull;
 mod records;
 mod recover;
@@ -56,7 +57,7 @@ pub use cpu_features::CpuFeatures;
 pub use digest::{Digest, Hasher};
 pub use entry::{Entry, Pulled, State, Times};
 pub use error::{ErrorKind, StoreError};
-pub use marks::{KEEP, PULLED, keep};
+pub use marks::{KEEP, PULLED, is_kept_for_event, keep_for_event};
 pub use name::{BadName, Name, is_segment_name};
 pub use recover::{Recovered, recover, recover_file};
 pub use root::Root;

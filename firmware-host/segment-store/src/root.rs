@@ -115,6 +115,7 @@ pub(crate) fn write_small(folder: BorrowedFd<'_>, file: &str, text: &str) -> io:
     let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::NOFOLLOW | OFlags::CLOEXEC;
     // Removes what a crash left over. EXCL then ensures that the file is new.
     let _ = unlinkat(folder, partial.as_str(), AtFlags::empty());
+    // Readable by all: a marker shows no picture, and the recorder must read one that another account wrote.
     let written = openat(folder, partial.as_str(), flags, Mode::from_raw_mode(0o644))
         .map_err(io::Error::from)
         .and_then(|fd| {

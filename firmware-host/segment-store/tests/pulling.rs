@@ -9,7 +9,7 @@
 mod common;
 
 use std::fs;
-use std::os::unix::fs::symlink;
+use std::os::unix::fs::{PermissionsExt, symlink};
 use std::time::SystemTime;
 
 use common::{FILES, assert_same, connect, pull_into, robot, segment};
@@ -35,6 +35,22 @@ fn all_segments_are_pulled_and_marked_on_the_robot() {
     for entry in Catalogue::read(&Root::open(there.path()).unwrap()).unwrap().entries {
         let digest = Digest::of(&fs::read(there.path().join(entry.name.as_str())).unwrap());
         assert_eq!(entry.pulled, Pulled::Yes(digest), "{}", entry.name);
+    }
+}
+
+#[test]
+fn pulled_recordings_are_for_the_account_that_pulls_only() {
+    let there = tempdir().unwrap();
+    let here = tempdir().unwrap();
+    robot(there.path());
+    let data = here.path().join("data/kitchen");
+    pull_into(&mut connect(there.path()), &data, Options::default()).unwrap();
+    let mode = |path: &str| fs::metadata(data.join(path)).unwrap().permissions().mode() & 0o777;
+    for folder in ["", "monday", "tuesday"] {
+        assert_eq!(mode(folder), 0o700, "the folder {folder:?}");
+    }
+    for file in FILES {
+        assert_eq!(mode(file), 0o600, "{file}");
     }
 }
 

@@ -1,5 +1,6 @@
-//! `firmware-host buffer`: lists, verifies, recovers, exports and serves recorded segments.
+//! `firmware-host buffer`: lists, verifies, recovers, exports, erases and serves recorded segments.
 
+mod erase;
 mod list;
 
 use std::fs::File;
@@ -27,6 +28,7 @@ pub fn run(args: &BufferArgs) -> Result<ExitCode> {
         BufferTask::Export { path, layout, out } => {
             export_run(path, *layout, out).map(|()| ExitCode::SUCCESS)
         }
+        BufferTask::Erase { dir, yes } => erase::run(dir, *yes),
         BufferTask::Serve { dir } => serve(dir).map(|()| ExitCode::SUCCESS),
     }
 }

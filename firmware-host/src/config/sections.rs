@@ -169,6 +169,12 @@ hal::settings! {
         quota_gib: f64 = 0.0, in 0.0..=1000000.0, unit "GiB";
         /// Disk space that stays free, or a tenth of a small disk; the oldest segments are removed first. Only on a robot.
         free_gib: f64 = 2.0, in 0.0..=1000000.0, unit "GiB";
+        /// Share of `quota_gib`, or of a smaller disk, for the segments around contacts and stops that need a person. Within it
+        /// they are not removed; beyond it, the oldest lose this protection. Only on a robot.
+        kept_percent: u64 = 50, in 0..=100, unit "%";
+        /// Segments that are older are removed before a new one begins, also kept ones and those that no workstation has pulled.
+        /// 0 sets no limit. Only on a robot.
+        max_age_days: u64 = 0, in 0..=36500, unit "days";
     }
 }
 

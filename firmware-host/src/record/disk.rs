@@ -1,16 +1,17 @@
 //! The disk that segments are written to, as a trait, so that tests can simulate a full or failing one.
 
 use std::cell::Cell;
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::rc::Rc;
 
 use runtime::recording::END_WITHOUT_SUMMARY;
+use segment_store::private;
 
 /// Creates and removes segments.
 pub trait Disk: Send {
-    /// Creates a new file.
+    /// Creates a new file, for this account only.
     ///
     /// # Errors
     /// When the file exists or cannot be created.
@@ -59,7 +60,7 @@ pub struct FileSystem;
 
 impl Disk for FileSystem {
     fn create(&mut self, path: &Path) -> io::Result<Box<dyn SegmentFile>> {
-        let file = OpenOptions::new().write(true).create_new(true).open(path)?;
+        let file = private::file_options().create_new(true).open(path)?;
         // `buffer verify` and `recover` see by this lock that the file is still being written. On file systems without locks
         // they decide by the file's age.
         let _ = file.try_lock();

@@ -1,8 +1,10 @@
 //! Frees space on the disk for the next segment: removes the oldest ones.
 
+use std::cmp::Reverse;
+use std::ops::AddAssign;
 use std::path::{Path, PathBuf};
 
-use segment_store::{Catalogue, Entry, PULLED};
+use segment_store::{Catalogue, Entry, KEEP, Name, PULLED, Root, is_kept_for_event};
 
 use super::disk::{Disk, Space};
 use crate::replay::open_segment;
@@ -20,6 +22,18 @@ pub struct Quota {
     pub bytes: Option<u64>,
     /// Space that stays free, bytes, but at most a tenth of the disk.
     pub free_bytes: u64,
+    /// Share of `bytes`, or of a smaller disk, that segments may use which are kept because of an event, percent.
+    pub kept_percent: u64,
+    /// Segments that are older are removed, days; 0 for no limit.
+    pub max_age_days: u64,
+}
+
+impl Quota {
+    /// How many bytes of segments are kept because of events.
+    fn kept_bytes(&self, disk: &dyn Disk) -> u64 {
+        let disk_bytes = disk.space(&self.buffer).map_or(u64::MAX, |space| space.total_bytes);
+        self.bytes.unwrap_or(u64::MAX).min(disk_bytes) / 100 * self.kept_percent
+    }
 }
 
 /// Segments that were removed to free space.
@@ -33,21 +47,30 @@ pub struct Removed {
     pub bytes: u64,
 }
 
+impl AddAssign for Removed {
+    fn add_assign(&mut self, more: Self) {
+        self.segments += more.segments;
+        self.not_pulled += more.not_pulled;
+        self.bytes += more.bytes;
+    }
+}
+
 /// Removes segments until the quota is met: first those that a workstation has pulled, then the others, the oldest first.
-/// Segments that are marked [`KEEP`](segment_store::KEEP), segments of simulated runs, and `next`, which is about to be
-/// written, are not removed.
+/// Segments that are [`protected`], segments of simulated runs, and `next`, which is about to be written, are not
+/// removed.
 pub(super) fn free_space(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Removed {
     let mut removed = Removed::default();
-    let Ok((_, catalogue)) = Catalogue::open(&quota.buffer)
+    let Ok((root, catalogue)) = Catalogue::open(&quota.buffer)
         .inspect_err(|error| tracing::warn!("cannot remove old segments: {error}"))
     else {
         return removed;
     };
     let mut segments = catalogue.entries;
     let mut total: u64 = segments.iter().map(|segment| segment.bytes).sum();
-    // A robot records into a folder per run, so segments outside of one are not the robot's.
-    segments.retain(|segment| !segment.keep && !segment.name.run().is_empty());
     age_by_number(&mut segments);
+    let protected = protected(&root, &segments, quota.kept_bytes(disk));
+    // A robot records into a folder per run, so segments outside of one are not the robot's.
+    segments.retain(|segment| !protected.contains(&segment.name) && !segment.name.run().is_empty());
     segments.sort_by_key(|segment| {
         (segment.pulled_digest().is_none(), segment.modified_ns, segment.name.clone())
     });
@@ -64,19 +87,46 @@ pub(super) fn free_space(disk: &mut dyn Disk, quota: &Quota, next: &Path) -> Rem
         if path == next || is_simulated(&path) {
             continue;
         }
-        if let Err(error) = disk.remove(&path) {
-            tracing::warn!("cannot remove {} to free space: {error}", path.display());
-            continue;
-        }
-        // The mark is about this segment only.
-        let _ = disk.remove(&PathBuf::from(format!("{}{PULLED}", path.display())));
-        tracing::info!("removed {} to free space", path.display());
-        total -= segment.bytes;
-        removed.segments += 1;
-        removed.not_pulled += u64::from(segment.pulled_digest().is_none());
-        removed.bytes += segment.bytes;
+        let this = remove_segment(disk, &segment, &path);
+        total -= this.bytes;
+        removed += this;
     }
     removed
+}
+
+/// Removes a segment with its marks. Returns what was removed: nothing when the disk refuses.
+pub(super) fn remove_segment(disk: &mut dyn Disk, segment: &Entry, path: &Path) -> Removed {
+    if let Err(error) = disk.remove(path) {
+        tracing::warn!("cannot remove the old segment {}: {error}", path.display());
+        return Removed::default();
+    }
+    remove_marks(disk, path);
+    tracing::info!("removed the old segment {}", path.display());
+    let not_pulled = u64::from(segment.pulled_digest().is_none());
+    Removed { segments: 1, not_pulled, bytes: segment.bytes }
+}
+
+/// The segments that an operator keeps, and the newest of those that are kept because of an event, up to `most_bytes` of
+/// these.
+fn protected(root: &Root, segments: &[Entry], most_bytes: u64) -> Vec<Name> {
+    let mut kept: Vec<&Entry> = segments.iter().filter(|segment| segment.keep).collect();
+    kept.sort_by_key(|segment| Reverse((segment.modified_ns, segment.name.clone())));
+    let mut bytes: u64 = 0;
+    kept.retain(|segment| {
+        if !is_kept_for_event(root, &segment.name) {
+            return true;
+        }
+        bytes = bytes.saturating_add(segment.bytes);
+        bytes <= most_bytes
+    });
+    kept.into_iter().map(|segment| segment.name.clone()).collect()
+}
+
+/// The marks are about this segment only. Most segments have none.
+fn remove_marks(disk: &mut dyn Disk, segment: &Path) {
+    for mark in [PULLED, KEEP] {
+        let _ = disk.remove(&PathBuf::from(format!("{}{mark}", segment.display())));
+    }
 }
 
 /// Makes every segment at least as new as the one before it in its run. Without this, the newest segments would be removed
@@ -91,12 +141,12 @@ fn age_by_number(segments: &mut [Entry]) {
 }
 
 /// A simulated run is in a folder that the user chose, not in the robot's buffer.
-fn is_simulated(segment: &Path) -> bool {
+pub(super) fn is_simulated(segment: &Path) -> bool {
     open_segment(segment).is_ok_and(|reader| reader.header().run.scene.is_some())
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::io;
     use std::time::SystemTime;
 
@@ -132,7 +182,12 @@ mod tests {
     }
 
     /// Records a run of `segments` segments into `buffer`, with older times than later recordings.
-    fn recorded(buffer: &Path, run: &str, segments: u64, scene: Option<&str>) {
+    pub(in crate::record) fn recorded(
+        buffer: &Path,
+        run: &str,
+        segments: u64,
+        scene: Option<&str>,
+    ) {
         let options =
             RecorderOptions { segment_ns: 1, ..RecorderOptions::simulation(buffer.join(run)) };
         let header =
@@ -156,7 +211,7 @@ mod tests {
         Catalogue::open(buffer).unwrap().1.entries
     }
 
-    fn left(buffer: &Path) -> Vec<String> {
+    pub(in crate::record) fn left(buffer: &Path) -> Vec<String> {
         catalogue(buffer).iter().map(|entry| entry.name.to_string()).collect()
     }
 
@@ -164,8 +219,14 @@ mod tests {
         catalogue(buffer).iter().map(|entry| entry.bytes).sum()
     }
 
-    fn quota(buffer: &Path, free_bytes: u64) -> Quota {
-        Quota { buffer: buffer.to_owned(), bytes: None, free_bytes }
+    pub(in crate::record) fn quota(buffer: &Path, free_bytes: u64) -> Quota {
+        Quota {
+            buffer: buffer.to_owned(),
+            bytes: None,
+            free_bytes,
+            kept_percent: 50,
+            max_age_days: 0,
+        }
     }
 
     #[test]
@@ -247,6 +308,68 @@ mod tests {
         free_space(&mut FileSystem, &quota, Path::new(""));
         let left = bytes(buffer.path());
         assert!(left <= all / 2 && left >= all / 5, "{left} of {all}");
+    }
+
+    /// Marks segments of the run `a` as the recorder does after a contact.
+    fn keep_for_contact(buffer: &Path, segments: std::ops::Range<u32>) {
+        let root = Root::open(buffer).unwrap();
+        for segment in segments {
+            let name = Name::parse(&format!("a/{}", segment_name(segment))).unwrap();
+            segment_store::keep_for_event(&root, &name, "contact").unwrap();
+        }
+    }
+
+    #[test]
+    fn segments_around_an_event_are_kept_and_later_ones_are_removed_for_them() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "a", 6, None);
+        keep_for_contact(buffer.path(), 0..2);
+        let quota = Quota { bytes: Some(bytes(buffer.path()) * 7 / 10), ..quota(buffer.path(), 0) };
+        free_space(&mut FileSystem, &quota, Path::new(""));
+        assert_eq!(
+            left(buffer.path()),
+            [0, 1, 4, 5].map(|number| format!("a/{}", segment_name(number)))
+        );
+    }
+
+    #[test]
+    fn the_oldest_kept_segments_go_first_beyond_their_share_of_the_quota() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "a", 6, None);
+        keep_for_contact(buffer.path(), 0..4);
+        // Half of it are two segments and a bit: the kept segments 2 and 3.
+        let quota = Quota { bytes: Some(bytes(buffer.path()) * 3 / 4), ..quota(buffer.path(), 0) };
+        free_space(&mut FileSystem, &quota, Path::new(""));
+        assert_eq!(
+            left(buffer.path()),
+            [2, 3, 4, 5].map(|number| format!("a/{}", segment_name(number)))
+        );
+        assert!(
+            !buffer.path().join("a/recording_0000.mcap.keep").exists(),
+            "the mark is removed with its segment"
+        );
+    }
+
+    #[test]
+    fn what_an_operator_keeps_does_not_count_and_is_never_removed() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "a", 4, None);
+        for number in 0..4 {
+            let mark = buffer.path().join("a").join(format!("{}{KEEP}", segment_name(number)));
+            std::fs::write(mark, "").unwrap();
+        }
+        let quota = Quota { bytes: Some(1), ..quota(buffer.path(), 0) };
+        assert_eq!(free_space(&mut FileSystem, &quota, Path::new("")), Removed::default());
+    }
+
+    #[test]
+    fn a_share_of_nothing_keeps_nothing() {
+        let buffer = tempfile::tempdir().unwrap();
+        recorded(buffer.path(), "a", 4, None);
+        keep_for_contact(buffer.path(), 0..4);
+        let quota = Quota { bytes: Some(1), kept_percent: 0, ..quota(buffer.path(), 0) };
+        free_space(&mut FileSystem, &quota, Path::new(""));
+        assert!(left(buffer.path()).is_empty());
     }
 
     #[test]

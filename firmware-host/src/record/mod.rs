@@ -16,12 +16,15 @@
 //!
 //! To prevent that, the recorder removes old segments from the robot's buffer before it begins a new one, as the
 //! [quota](Quota) demands: first those that a workstation has pulled, then the oldest. A segment with a file of its name
-//! and `.keep` beside it is never removed.
+//! and `.keep` beside it is not removed. The recorder writes this file around a contact or a stop that needs a person; of
+//! the segments that it keeps so, the oldest lose their protection when they exceed a share of the quota.
 
+mod age;
 mod disk;
 mod error;
 mod faulty_disk;
 mod free_space;
+mod kept;
 mod recorder;
 mod segments;
 

@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 
 use runtime::recording::{RecordedTick, RunHeader, Views};
 use runtime::robot::Robot;
-use segment_store::is_segment_name;
+use segment_store::{is_segment_name, private};
 
 use super::disk::{Disk, FileSystem};
 use super::error::RecordError;
@@ -407,13 +407,14 @@ fn lock(status: &Mutex<RecorderStatus>) -> MutexGuard<'_, RecorderStatus> {
     status.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Refuses a folder with a recording, because a folder holds one run. Creates the folder if it is missing.
+/// Refuses a folder with a recording, because a folder holds one run. Creates the folder if it is missing, for this
+/// account only.
 ///
 /// # Errors
 /// When the folder holds a recording, or cannot be read.
 pub fn refuse_old_recording(dir: &Path) -> Result<(), RecordError> {
     let error = |source| RecordError::Directory { dir: dir.to_owned(), source };
-    std::fs::create_dir_all(dir).map_err(error)?;
+    private::create_folder(dir).map_err(error)?;
     for entry in std::fs::read_dir(dir).map_err(error)? {
         let entry = entry.map_err(error)?;
         if entry.file_name().to_str().is_some_and(is_segment_name) {

@@ -11,9 +11,11 @@ use runtime::recording::{
     RecordedTick, RecordingWriter, RunDigest, RunHeader, SegmentHeader, Views,
 };
 
+use super::age::remove_expired;
 use super::disk::{Disk, SegmentFile, Sink};
 use super::error::RecordError;
 use super::free_space::free_space;
+use super::kept::EventKeeper;
 use super::recorder::{RecorderOptions, RecordingSummary};
 
 /// `recording_0000.mcap` for segment 0. The names of up to 10,000 segments of a minute each, a week, sort in order.
@@ -36,11 +38,14 @@ pub(super) struct Segments {
     /// File of the first segment. It was created before the thread started, so that a bad directory is reported at once.
     first_file: Option<Box<dyn SegmentFile>>,
     open: Option<Open>,
+    /// `None` without a quota: nothing deletes the segments.
+    keeper: Option<EventKeeper>,
     digest: RunDigest,
     summary: RecordingSummary,
 }
 
 struct Open {
+    number: u32,
     writer: RecordingWriter<Sink>,
     path: PathBuf,
     start_ns: u64,
@@ -55,12 +60,14 @@ impl Segments {
         first_file: Box<dyn SegmentFile>,
     ) -> Self {
         let summary = RecordingSummary::default();
+        let keeper = options.quota.as_ref().map(|_| EventKeeper::new(&options.dir));
         Self {
             options,
             disk,
             run,
             first_file: Some(first_file),
             open: None,
+            keeper,
             digest: RunDigest::new(),
             summary,
         }
@@ -79,6 +86,9 @@ impl Segments {
         if let Err(error) = open.writer.write(tick, views) {
             salvage(open.writer.abandon(), &open.path);
             return Err(RecordError::writing(open.path, error));
+        }
+        if let Some(keeper) = &mut self.keeper {
+            keeper.wrote(open.number, &tick.safety.events);
         }
         self.open = Some(open);
         self.digest.add_input(&input);
@@ -115,10 +125,9 @@ impl Segments {
         let segment = self.summary.segments;
         let path = self.options.dir.join(segment_name(segment));
         if let Some(quota) = &self.options.quota {
-            let removed = free_space(self.disk.as_mut(), quota, &path);
-            self.summary.removed.segments += removed.segments;
-            self.summary.removed.not_pulled += removed.not_pulled;
-            self.summary.removed.bytes += removed.bytes;
+            let disk = self.disk.as_mut();
+            self.summary.removed += remove_expired(disk, quota, &path, SystemTime::now());
+            self.summary.removed += free_space(disk, quota, &path);
         }
         let file = match self.first_file.take() {
             Some(file) => file,
@@ -134,7 +143,10 @@ impl Segments {
         match RecordingWriter::begin(sink, header) {
             Ok(writer) => {
                 self.summary.segments += 1;
-                Ok(Open { writer, path, start_ns: time_ns, written })
+                if let Some(keeper) = &mut self.keeper {
+                    keeper.began(segment);
+                }
+                Ok(Open { number: segment, writer, path, start_ns: time_ns, written })
             }
             Err(error) => {
                 // A segment without its header cannot be read.

@@ -1,6 +1,7 @@
 //! Tests of the recorder on disks that are full, stall or fail.
 
 use std::io::{self, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -74,6 +75,19 @@ fn record(options: RecorderOptions, ticks: u64) -> RecordingSummary {
         recorder.record(some_tick(tick), Views::default()).unwrap();
     }
     recorder.finish().unwrap()
+}
+
+#[test]
+fn the_recording_of_a_robot_is_for_its_account_only() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("runs/monday");
+    record(RecorderOptions { segment_ns: 2_000_000_000, ..RecorderOptions::robot(&run) }, 15);
+    let mode = |path: &Path| path.metadata().unwrap().permissions().mode() & 0o777;
+    assert_eq!(mode(&run), 0o700);
+    for segment in std::fs::read_dir(&run).unwrap() {
+        let path = segment.unwrap().path();
+        assert_eq!(mode(&path), 0o600, "{}", path.display());
+    }
 }
 
 #[test]
@@ -537,7 +551,13 @@ fn any_operation_of_the_disk_may_fail_and_the_robot_goes_on_and_its_recording_is
         for for_good in [false, true] {
             let dir = tempfile::tempdir().unwrap();
             let disk = FailingDisk { left: Arc::new(AtomicU64::new(operation)), error, for_good };
-            let quota = Quota { buffer: dir.path().to_owned(), bytes: None, free_bytes: 0 };
+            let quota = Quota {
+                buffer: dir.path().to_owned(),
+                bytes: None,
+                free_bytes: 0,
+                kept_percent: 50,
+                max_age_days: 0,
+            };
             let options = RecorderOptions {
                 segment_ns: 4_000_000_000,
                 queue_ticks: 1000,

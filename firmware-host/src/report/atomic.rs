@@ -6,6 +6,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use segment_store::private;
+
 /// An error while writing a report.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -33,12 +35,23 @@ pub enum ReportError {
 /// # Errors
 /// [`ReportError::Unwritable`].
 pub fn prepare_dir(dir: &Path) -> Result<(), ReportError> {
-    create_and_probe(dir)
+    fs::create_dir_all(dir)
+        .and_then(|()| probe(dir))
         .map_err(|source| ReportError::Unwritable { path: dir.to_path_buf(), source })
 }
 
-fn create_and_probe(dir: &Path) -> io::Result<()> {
-    fs::create_dir_all(dir)?;
+/// Like [`prepare_dir`], for the run of a robot: only this account may open the directory, because recording and map show
+/// the inside of a home.
+///
+/// # Errors
+/// As [`prepare_dir`].
+pub fn prepare_private_dir(dir: &Path) -> Result<(), ReportError> {
+    private::create_folder(dir)
+        .and_then(|()| probe(dir))
+        .map_err(|source| ReportError::Unwritable { path: dir.to_path_buf(), source })
+}
+
+fn probe(dir: &Path) -> io::Result<()> {
     let probe = dir.join(".probe.partial");
     let written = File::create(&probe)
         .and_then(|mut file| file.write_all(&[0; 4096]).and_then(|()| file.sync_all()));
@@ -67,6 +80,8 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
 
     fn names(dir: &Path) -> Vec<String> {
@@ -104,6 +119,15 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let out = dir.path().join("a/b");
         prepare_dir(&out).unwrap();
+        assert!(names(&out).is_empty());
+    }
+
+    #[test]
+    fn the_directory_of_a_robots_run_is_for_its_account_only() {
+        let dir = tempfile::tempdir().unwrap();
+        let out = dir.path().join("runs/monday");
+        prepare_private_dir(&out).unwrap();
+        assert_eq!(fs::metadata(&out).unwrap().permissions().mode() & 0o777, 0o700);
         assert!(names(&out).is_empty());
     }
 

@@ -46,7 +46,7 @@ use crate::keep_out;
 use crate::live::{self, Live};
 use crate::map::KeptMap;
 use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
-use crate::report::atomic::prepare_dir;
+use crate::report::atomic::prepare_private_dir;
 use crate::report::latency::Stage;
 use crate::report::summary::{CameraLatency, LidarLine, Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
@@ -92,7 +92,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
         args.map.as_deref().map(|path| KeptMap::open(path, &mut robot, &config)).transpose()?;
     let poses = PoseSocket::open(&config.run.pose_socket)?;
     let out = &args.out.clone().unwrap_or_else(|| named_by_time(&config));
-    prepare_dir(out)?;
+    prepare_private_dir(out)?;
     let plan = args
         .faults
         .plan(args.frames.map_or(RANDOM_FAULTS_S, |frames| frames as f64 * config.base.tick_s()));
@@ -218,7 +218,14 @@ fn quota(out: &Path, config: &Config) -> Result<Quota> {
     let buffer = out.parent().unwrap_or(&out).to_owned();
     let bytes = |gib: f64| (gib * (1u64 << 30) as f64) as u64;
     let most = Some(bytes(config.recording.quota_gib)).filter(|most| *most > 0);
-    Ok(Quota { buffer, bytes: most, free_bytes: bytes(config.recording.free_gib) })
+    let free_bytes = bytes(config.recording.free_gib);
+    Ok(Quota {
+        buffer,
+        bytes: most,
+        free_bytes,
+        kept_percent: config.recording.kept_percent,
+        max_age_days: config.recording.max_age_days,
+    })
 }
 
 fn report(

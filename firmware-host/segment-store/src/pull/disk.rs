@@ -1,9 +1,11 @@
 //! Writing to the destination's disk, behind traits so that tests can inject disk errors.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{self, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
+
+use crate::private;
 
 /// A file that is being received.
 pub trait PartFile: Read + Write + Send {
@@ -23,6 +25,7 @@ pub trait PartFile: Read + Write + Send {
 /// The operations that change the destination.
 pub trait Disk: Send + Sync {
     /// Opens a file for reading and writing, and creates it if it does not exist. Symbolic links are not followed.
+    /// Only this account may read a new file.
     ///
     /// # Errors
     /// When the disk returns an error.
@@ -42,9 +45,8 @@ pub struct FileSystem;
 impl Disk for FileSystem {
     fn open_part(&self, path: &Path) -> io::Result<Box<dyn PartFile>> {
         let nofollow = rustix::fs::OFlags::NOFOLLOW.bits().cast_signed();
-        let file = OpenOptions::new()
+        let file = private::file_options()
             .read(true)
-            .write(true)
             .create(true)
             .truncate(false)
             .custom_flags(nofollow)

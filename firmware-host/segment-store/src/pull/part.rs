@@ -10,6 +10,7 @@ use super::rate_limiter::RateLimiter;
 use crate::digest::Hasher;
 use crate::error::StoreError;
 use crate::name::Name;
+use crate::private;
 use crate::transfer::{FileSink, LocalCopy};
 
 /// The temporary and the final path of a file.
@@ -20,11 +21,11 @@ pub(super) struct Paths {
 }
 
 impl Paths {
-    /// Computes the paths and creates the directory of the run.
+    /// Computes the paths and creates the directory of the run, for this account only.
     pub(super) fn create(dir: &Path, name: &Name) -> Result<Self, StoreError> {
         let whole = dir.join(name.as_str());
         let folder = dir.join(name.run());
-        std::fs::create_dir_all(&folder).map_err(StoreError::write(folder))?;
+        private::create_folder(&folder).map_err(StoreError::write(folder))?;
         let part = whole.with_file_name(format!("{}.part", name.file()));
         Ok(Self { name: name.clone(), part, whole })
     }

@@ -16,6 +16,7 @@ use super::rate_limiter::RateLimiter;
 use crate::digest::{Digest, Hasher};
 use crate::entry::{Entry, State};
 use crate::error::StoreError;
+use crate::private;
 use crate::root::file_modified_ns;
 use crate::source::Source;
 use crate::verify::{Finding, verify};
@@ -39,12 +40,12 @@ pub struct Destination<'a> {
 }
 
 impl<'a> Destination<'a> {
-    /// Creates the directory if it does not exist, and locks it.
+    /// Creates the directory if it does not exist, for this account only, and locks it.
     ///
     /// # Errors
     /// When it cannot be written, or another pull holds the lock.
     pub fn open(dir: &Path, disk: &'a dyn Disk) -> Result<Self, StoreError> {
-        std::fs::create_dir_all(dir).map_err(StoreError::write(dir))?;
+        private::create_folder(dir).map_err(StoreError::write(dir))?;
         let path = dir.join(LOCK_FILE);
         let lock = File::options().write(true).create(true).truncate(false).open(&path);
         let lock = lock.map_err(StoreError::write(&path))?;
