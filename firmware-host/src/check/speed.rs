@@ -76,7 +76,7 @@ mod tests {
         let mut config = Config::default();
         let text = Speed::new(&config).sentence();
         assert!(text.starts_with("the robot drives 0.30 m/s at most"), "{text}");
-        assert!(text.contains("reacts within 0.05 s (run.reaction_s)"), "{text}");
+        assert!(text.contains("reacts within 0.10 s (run.reaction_s)"), "{text}");
         config.devices.lidar.kind = LidarKind::Rplidar;
         let text = Speed::new(&config).sentence();
         assert!(

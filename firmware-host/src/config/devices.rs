@@ -20,8 +20,9 @@ hal::settings! {
         /// the signal SIGUSR1.
         arm_at_start: bool = true;
         /// Time from a LiDAR beam to the first response of the wheels. At least two periods of the scanner are assumed, and three
-        /// of a scanner with few beams; `check` prints the speed that this allows.
-        reaction_s: f64 = 0.05, in 0.0..=1.0, unit "s", source "two scans of a UTM-30LX";
+        /// of a scanner with few beams; `check` prints the speed that this allows, and `check --drive` measures the time.
+        reaction_s: f64 = 0.1, in 0.0..=1.0, unit "s",
+            source "two scans of a UTM-30LX, and 50 ms until the wheels respond";
         /// Deceleration of the base when it brakes. Measure it.
         brake_mps2: f64 = 1.0, in 0.1..=20.0, unit "m/s2";
         /// Consecutive valid scans that are needed before the robot drives.
@@ -157,7 +158,7 @@ mod tests {
     #[test]
     fn the_reaction_time_is_never_shorter_than_two_periods_of_the_scanner() {
         let mut config = Config::default();
-        for (model, reaction_s) in [(Model::Utm30lx, 0.05), (Model::Urg04lx, 0.2)] {
+        for (model, reaction_s) in [(Model::Utm30lx, 0.1), (Model::Urg04lx, 0.2)] {
             config.devices.lidar.model = model;
             assert!(
                 (config.live_safety_config().reaction_s - reaction_s).abs() < 1e-9,
