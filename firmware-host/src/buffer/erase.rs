@@ -64,7 +64,7 @@ fn receipt(dir: &Path) -> Result<Vec<Line>> {
 fn line(path: PathBuf) -> Result<Line> {
     let kind =
         fs::symlink_metadata(&path).with_context(|| format!("cannot read {}", path.display()))?;
-    // A run makes neither folders nor links, so this is somebody else's.
+    // A run makes neither folders nor links, so this is not the run's.
     ensure!(kind.is_file(), "{} is not a file of a run; move it elsewhere first", path.display());
     let mut hasher = Hasher::default();
     File::open(&path)

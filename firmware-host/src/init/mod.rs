@@ -44,7 +44,7 @@ use turn_wheels::Correction;
 /// Finds devices, asks, writes the configuration and checks it.
 ///
 /// # Errors
-/// The file exists, there is nobody to ask, an answer in a file is not allowed, or the file cannot be written.
+/// The file exists, no questions can be asked, an answer in a file is not allowed, or the file cannot be written.
 pub fn run(args: &InitArgs) -> Result<ExitCode> {
     let is_terminal = stdin().is_terminal();
     if !args.print_answers {
@@ -102,7 +102,7 @@ fn refuse_in_vain(args: &InitArgs, is_terminal: bool) -> Result<()> {
     }
     if args.answers.is_none() && !is_terminal {
         bail!(
-            "standard input is not a terminal, so nobody can be asked: give the answers by --answers FILE; \
+            "standard input is not a terminal, so no questions can be asked: give the answers by --answers FILE; \
              `firmware-host init --print-answers > answers.toml` writes some to begin with"
         );
     }

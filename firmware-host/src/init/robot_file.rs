@@ -227,7 +227,7 @@ fn time_out(model: &str) -> Option<Line> {
         .then(|| line("safety.scan_timeout_s", &value, "Two revolutions of this scanner, s."))
 }
 
-/// The files of a simulated robot: not everybody may write those of a real one.
+/// The files of a simulated robot: not every account may write those of a real one.
 fn files_in(folder: &Path) -> [Line; 3] {
     let path = |name: &str| Value::String(folder.join(name).display().to_string());
     [
