@@ -342,7 +342,8 @@ fn a_model_whose_key_is_not_trusted_any_more_is_not_used_and_comes_back_with_the
     for revoked in [other.as_str(), "# no key\n"] {
         std::fs::write(robot.path("trusted_keys"), revoked).unwrap();
         assert!(start().network.is_none());
-        let (store, config) = (robot.text("store"), robot.text("robot.toml"));
+        let store = robot.text("store");
+        let config = robot.text("robot.toml");
         let listed = run(&["model", "list", "--store", &store, "--config", &config]);
         let listed = String::from_utf8_lossy(&listed.stdout).into_owned();
         assert!(listed.contains("NOT TRUSTED: not used"), "{listed}");

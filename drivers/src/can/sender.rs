@@ -46,13 +46,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_protocol_is_known_by_its_heartbeat_and_other_frames_name_nobody() {
+    fn each_protocol_is_known_by_its_heartbeat_and_other_frames_name_no_controller() {
         let sent = |id, length| sender(&CanFrame::new(id, &[0; 8][..length]).unwrap());
-        let who = |protocol, node| Some(Sender { protocol, node });
-        assert_eq!(sent(CanId::Standard(0x061), 8), who(Protocol::Odrive, 3));
-        assert_eq!(sent(CanId::Standard(0x703), 1), who(Protocol::Cia402, 3));
-        assert_eq!(sent(CanId::Standard(0x701), 8), who(Protocol::Odrive, 56));
-        assert_eq!(sent(CanId::Extended(0x955), 8), who(Protocol::Vesc, 0x55));
+        let some = |protocol, node| Some(Sender { protocol, node });
+        assert_eq!(sent(CanId::Standard(0x061), 8), some(Protocol::Odrive, 3));
+        assert_eq!(sent(CanId::Standard(0x703), 1), some(Protocol::Cia402, 3));
+        assert_eq!(sent(CanId::Standard(0x701), 8), some(Protocol::Odrive, 56));
+        assert_eq!(sent(CanId::Extended(0x955), 8), some(Protocol::Vesc, 0x55));
         for (id, length) in [
             (CanId::Standard(0x069), 8),
             (CanId::Standard(0x700), 1),

@@ -199,7 +199,8 @@ pub fn offer(config: &CameraDeviceConfig) -> Result<Offer, V4l2Error> {
     let code_of = |format: CameraFormat| format.names().iter().find(|code| formats.contains(code));
     let readable =
         CameraFormat::ALL.into_iter().find_map(|format| Some((format, *code_of(format)?)));
-    let (width, height) = (config.width, config.height);
+    let width = config.width;
+    let height = config.height;
     let Some((format, code)) = readable else {
         return Ok(Offer { formats, format: None, size: (width, height), fps: None });
     };

@@ -9,7 +9,7 @@
 //! STORE/RUN/recording_0007.mcap.keep      the recorder's quota keeps this segment
 //! ```
 //!
-//! This crate writes only the marker `.pulled` into a store, and it follows no symbolic link out of it.
+//! This crate writes only markers into a store, and it follows no symbolic link out of it.
 //!
 //! Modules depend only on modules above them in this list:
 //!

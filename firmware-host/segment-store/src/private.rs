@@ -1,7 +1,7 @@
 //! Recordings show the inside of homes: only the account that writes them may read them, whatever its umask is.
 //!
-//! The group gets no right either, because a robot's service and a person's account have groups with other members. Whoever
-//! pulls does so as the robot's account ([docs/pull-buffer.md](../../../docs/pull-buffer.md)).
+//! The group gets no right either, because a robot's service and a person's account have groups with other members. A pull
+//! runs as the robot's account ([docs/pull-buffer.md](../../../docs/pull-buffer.md)).
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io;
@@ -9,12 +9,12 @@ use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::Path;
 
 /// Mode of a folder of recordings.
-pub const FOLDER_MODE: u32 = 0o700;
+const FOLDER_MODE: u32 = 0o700;
 /// Mode of a recording.
-pub const FILE_MODE: u32 = 0o600;
+const FILE_MODE: u32 = 0o600;
 
 /// Creates a folder that only this account may open, with the folders above it that are missing. A folder that exists keeps
-/// its mode, because somebody chose it.
+/// its mode, because an operator may have chosen it.
 ///
 /// # Errors
 /// When it cannot be created.
@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_exists_keeps_the_mode_that_somebody_chose() {
+    fn a_folder_that_exists_keeps_its_mode() {
         let dir = tempfile::tempdir().unwrap();
         let shared = dir.path().join("shared");
         std::fs::create_dir(&shared).unwrap();

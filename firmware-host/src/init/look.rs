@@ -1,4 +1,4 @@
-//! Asks the devices that were found: cameras what they offer, buses who speaks on them. Nothing starts, and nothing is sent on a bus.
+//! Asks cameras what they offer, and listens on buses for motor controllers. No stream starts, and nothing is sent on a bus.
 
 use drivers::can::sender::{Sender, sender};
 use drivers::can::{BusEvent, CanBus, open_bus};
@@ -8,9 +8,9 @@ use monotonic_clock::MonotonicClock;
 
 use super::found::{Found, FoundBus, FoundCamera, FrameOffer};
 
-/// Buses are heard for this long: heartbeats come every 100 ms, of some drives every second.
+/// Time for which a bus is listened to: heartbeats come every 100 ms, of some drives every second.
 const LISTEN_NS: u64 = 1_200_000_000;
-/// Time between two looks into a bus.
+/// Time between two polls of a bus.
 const POLL_NS: u64 = 5_000_000;
 
 /// Completes what was found by what the devices say. Nodes that are no cameras are left out.
@@ -42,13 +42,13 @@ fn listen(buses: &mut [FoundBus]) {
     let end_ns = clock.now_ns() + LISTEN_NS;
     while clock.now_ns() < end_ns {
         let now_ns = clock.now_ns();
-        open.iter_mut().for_each(|(bus, found)| hear(bus, now_ns, &mut found.senders));
+        open.iter_mut().for_each(|(bus, found)| receive_all(bus, now_ns, &mut found.senders));
         clock.sleep_until_ns(now_ns + POLL_NS);
     }
 }
 
 /// Adds the controllers whose heartbeats have arrived, in the order of their nodes.
-fn hear(bus: &mut impl CanBus, now_ns: u64, senders: &mut Vec<Sender>) {
+fn receive_all(bus: &mut impl CanBus, now_ns: u64, senders: &mut Vec<Sender>) {
     while let Some(received) = bus.receive(now_ns) {
         let BusEvent::Frame(frame) = received.event else { continue };
         let Some(new) = sender(&frame) else { continue };

@@ -3,7 +3,7 @@
 //! | module | what it does |
 //! |---|---|
 //! | `search` | finds devices by their names, without opening any |
-//! | `look` | asks cameras what they offer, and hears who speaks on a bus |
+//! | `look` | asks cameras what they offer, and listens which motor controllers send on a bus |
 //! | `found` | what was found, in words |
 //! | `questions` | what is asked, and which keys an answer sets |
 //! | `answers` | what is an answer; files of answers |
@@ -48,7 +48,7 @@ use turn_wheels::Correction;
 pub fn run(args: &InitArgs) -> Result<ExitCode> {
     let is_terminal = stdin().is_terminal();
     if !args.print_answers {
-        refuse_in_vain(args, is_terminal)?;
+        refuse_early(args, is_terminal)?;
     }
     let places = Places { root: "/".into(), simulated: args.simulated.clone() };
     let mut found = places.search();
@@ -85,8 +85,8 @@ pub fn run(args: &InitArgs) -> Result<ExitCode> {
     Ok(verdict)
 }
 
-/// Refuses what could not succeed, before anybody answers questions.
-fn refuse_in_vain(args: &InitArgs, is_terminal: bool) -> Result<()> {
+/// Refuses what cannot succeed before the first question is asked.
+fn refuse_early(args: &InitArgs, is_terminal: bool) -> Result<()> {
     if args.out.exists() && !args.force {
         bail!("{} exists: --force replaces it, --out FILE writes another file", args.out.display());
     }

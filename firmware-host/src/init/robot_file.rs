@@ -127,9 +127,8 @@ fn frames(answers: &Answers, found: &Found) -> Vec<Line> {
     let default = CameraDeviceConfig::default();
     let mut lines = Vec::new();
     if (offer.width, offer.height) != (default.width, default.height) {
-        let (width, height) = (offer.width, offer.height);
-        lines.push(line("devices.camera.width", &width, "Columns that the camera offers."));
-        lines.push(line("devices.camera.height", &height, "Rows that the camera offers."));
+        lines.push(line("devices.camera.width", &offer.width, "Columns that the camera offers."));
+        lines.push(line("devices.camera.height", &offer.height, "Rows that the camera offers."));
     }
     if let Some(format) = offer.format.filter(|format| *format != default.format) {
         lines.push(line("devices.camera.format", &format_name(format), "The camera has no other."));
@@ -425,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn a_replaced_file_keeps_the_keys_that_nobody_was_asked_for() {
+    fn a_replaced_file_keeps_the_keys_that_are_not_asked_for() {
         let before: toml::Table =
             "[run]\narm_at_start = false\n[camera]\nheight_m = 2.0\nwidth = 320\n\
              [devices.base]\nleft_node = 9\ninvert_left = true\nwatchdog_ms = 50\n[old]\nkey = 1"

@@ -82,6 +82,9 @@ impl Walls {
 
     /// Keeps `scan`, which was taken at `t_odom_laser`.
     pub fn see(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) {
+        if self.rays.is_empty() {
+            return;
+        }
         self.seen_ns = scan.middle_ns();
         self.hits.clear();
         for (angle, range_m) in scan.hits() {
@@ -128,12 +131,11 @@ impl Walls {
         let measured = self.distance_m.clone();
         let is_gap = |index: &usize| measured[*index].is_infinite();
         for gap in (0..DIRECTIONS).filter(is_gap) {
-            let around = (1..=REACH).map(|step| {
+            let mut around = (1..=REACH).map(|step| {
                 let left = measured[(gap + step) % DIRECTIONS];
                 left.min(measured[(gap + DIRECTIONS - step) % DIRECTIONS])
             });
-            self.distance_m[gap] =
-                around.into_iter().find(|m| m.is_finite()).unwrap_or(f32::INFINITY);
+            self.distance_m[gap] = around.find(|m| m.is_finite()).unwrap_or(f32::INFINITY);
         }
     }
 }

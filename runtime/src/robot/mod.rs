@@ -522,11 +522,13 @@ impl Robot {
         self.has_depth.dense || self.mapped_depth().is_some()
     }
 
-    /// The depth of this tick to show to a person: dense depth that is right with a probability of 50 % or more. With another depth
-    /// source than coarse depth, and without dense depth, the depth that the map uses.
+    /// The depth of this tick to show to a person: dense depth that is right with a probability of 50 % or more. With a network
+    /// or ground truth in the map, and without dense depth, the depth that the map uses.
     #[must_use]
     pub fn shown_depth(&self) -> Option<DepthMap> {
-        match self.dense_depth().filter(|_| self.config.depth_source == DepthSource::Coarse) {
+        let shows_dense =
+            matches!(self.config.depth_source, DepthSource::Coarse | DepthSource::Dense);
+        match self.dense_depth().filter(|_| shows_dense) {
             Some(dense) => Some(dense.above(0.5)),
             None => self.mapped_depth().map(|estimate| estimate.depth.clone()),
         }

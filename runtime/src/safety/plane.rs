@@ -651,7 +651,7 @@ impl SafetyPlane {
     }
 
     /// Distance from the start of a back-off within which the ground was known to be free then and
-    /// is so now, metres. It is judged anew in every step, because knowledge ages while the robot
+    /// is so now, metres. It is checked in every step, because knowledge ages while the robot
     /// reverses. What was observed from the start counts as well as what is observed from here.
     fn known_free_behind_m(&self, time_ns: u64, back_off: &BackOff, odom: &Pose2) -> f64 {
         let from = &back_off.from;

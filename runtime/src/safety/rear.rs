@@ -81,7 +81,7 @@ impl RearMemory {
             && last.distance_m(pose) < TRAIL_STEP_M
             && wrap_angle(last.yaw_rad - pose.yaw_rad).abs() <= SAME_HEADING_RAD / 2.0
         {
-            // Nobody steps onto the ground under the robot: the time counts from when it leaves.
+            // Nothing can step onto the ground under the robot: the time counts from when it leaves.
             *left_ns = time_ns;
             return;
         }

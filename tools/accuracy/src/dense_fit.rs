@@ -60,7 +60,8 @@ fn fit_walls(
 ) -> Result<[f32; 5]> {
     fit_part(sequences, coarse, dense, |cell, is_right| {
         let (inverse_depth, p) = cell.without_walls;
-        let (wall, p_wall) = (cell.wall.0, dense.of_wall(&cell.wall));
+        let (wall, _) = cell.wall;
+        let p_wall = dense.of_wall(&cell.wall);
         let counts = cell.filled.is_seen() == seen && wall.inverse_depth > 0.0 && p > 0.0;
         counts.then(|| {
             let agree = agree(inverse_depth, wall.inverse_depth);

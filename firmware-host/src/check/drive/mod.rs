@@ -34,7 +34,7 @@ const WARNING: &str = "The robot moves by up to 0.5 m ahead, slowly, rotates by 
 /// The exit code is 1 if a measured number is worse than the assumed one.
 ///
 /// # Errors
-/// Nobody confirmed, a device cannot be opened, or the safety plane stopped the robot.
+/// The person did not confirm, a device cannot be opened, or the safety plane stopped the robot.
 pub fn run(config: &Config, path: &Path, is_confirmed: bool) -> Result<ExitCode> {
     let _lock = InstanceLock::on(&config.devices.base.bus)?;
     println!("{}", fit::text(WARNING, fit::columns()));
