@@ -117,7 +117,7 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
         exploration.show_in(crate::rerun_stream::RerunStream::start(
             &targets,
             &camera,
-            &config.camera.mount(),
+            &config.camera.t_base_camera(),
         )?);
     }
     if let Some([x_m, y_m]) = args.go_to {

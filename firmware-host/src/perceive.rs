@@ -50,7 +50,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
 
     let coarse = CoarseDepth::new(config.coarse.clone(), camera)?;
     // A recorded robot stood on a floor; how the camera of another sequence was held is not known.
-    let mount = source.is_recording().then(|| config.camera.mount());
+    let mount = source.is_recording().then(|| config.camera.t_base_camera());
     let mut evaluator = Evaluator {
         dense: DenseDepth::new(config.dense.clone(), &camera, &coarse, mount.as_ref()),
         coarse,

@@ -38,8 +38,8 @@ impl Config {
     pub fn robot(&self, mission: &Mission) -> RobotConfig {
         RobotConfig {
             camera: self.camera.model(),
-            t_base_camera: self.camera.mount(),
-            laser_forward_m: self.lidar.forward_m,
+            t_base_camera: self.camera.t_base_camera(),
+            t_base_laser: self.lidar.mount().t_base_laser(),
             forward_step_m: self.base.forward_step_m,
             rotation_step_rad: self.base.turn_step_deg.to_radians(),
             tick_s: self.base.tick_s(),
@@ -69,14 +69,8 @@ pub fn lidar_agreement(config: &Config) -> LidarAgreement {
 /// The safety LiDAR as the camera sees it.
 #[must_use]
 pub fn lidar_view(config: &Config) -> LidarView {
-    let t_camera_laser = config.camera.mount().inverse() * laser_mount(config);
+    let t_camera_laser = config.camera.t_base_camera().inverse() * config.lidar.t_base_laser_3d();
     LidarView { camera: config.camera.model(), t_camera_laser }
-}
-
-/// `t_base_laser`.
-#[must_use]
-pub fn laser_mount(config: &Config) -> Pose3 {
-    Pose3::translation(config.lidar.forward_m, 0.0, config.lidar.height_m)
 }
 
 /// What a recording says of its run.
@@ -97,8 +91,8 @@ pub fn run_header(
         model_digest: model.map(ToOwned::to_owned),
         faults: faults.texts(),
         fault_seed: faults.seed(),
-        t_base_camera: config.camera.mount(),
-        t_base_laser: laser_mount(config),
+        t_base_camera: config.camera.t_base_camera(),
+        t_base_laser: config.lidar.t_base_laser_3d(),
         config: serde_json::to_value(config)?,
         ..RunHeader::new(
             concat!("firmware-host ", env!("CARGO_PKG_VERSION")),

@@ -8,7 +8,6 @@ use simulator::{OpenOptions, RobotOptions, SceneError, World};
 
 use crate::cli::{SceneFileArgs, UpArg};
 use crate::config::Config;
-use crate::setup::laser_mount;
 
 impl Config {
     /// The safety plane's configuration in simulation: the simulated base answers at once and stops within a step.
@@ -30,13 +29,16 @@ pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> Robo
     let simulator = &config.simulator;
     RobotOptions {
         camera: config.camera.model(),
-        t_base_camera: config.camera.mount(),
-        t_base_laser: laser_mount(config),
+        t_base_camera: simulator.truth.camera(config.camera.mount()).t_base_camera(),
+        t_base_laser: simulator.truth.lidar(config.lidar.mount()).t_base_laser_3d(),
         sliding: simulator.sliding,
         odometry: simulator.odometry_noise(),
         laser: simulator.laser_model(),
         nuisances: simulator.nuisances.clone(),
         camera_latency_s: simulator.latency_s(),
+        camera_late_s: simulator.truth.camera_late_s,
+        lidar_late_s: simulator.truth.lidar_late_s,
+        focal_scale: 1.0 + simulator.truth.focal_percent / 100.0,
         rolling_shutter_s: simulator.rolling_shutter_s,
         floor_tilt_rad: simulator.floor_tilt_deg.to_radians(),
         seed,

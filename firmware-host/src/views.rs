@@ -131,7 +131,7 @@ fn render(
     let light = config.simulator.nuisances.lighting(0);
     let view = Some(View { view: index, approach: approach.name() });
     for (step, pose) in path.iter().enumerate() {
-        let t_world_camera = pose.to_pose3() * config.camera.mount();
+        let t_world_camera = pose.to_pose3() * config.camera.t_base_camera();
         world.renderer().render(&camera, &t_world_camera, &[], &light, &mut rgb, &mut truth);
         config.simulator.nuisances.add_sensor_noise(rng, &mut rgb);
         let estimate = coarse

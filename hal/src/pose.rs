@@ -1,6 +1,6 @@
 //! Positions and orientations in the plane and in space.
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 /// A rigid transform in space. `t_a_b` maps points of frame b into frame a; compose with `*`,
 /// invert with `.inverse()`.
@@ -82,21 +82,6 @@ pub fn wrap_angle(angle_rad: f64) -> f64 {
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
 }
 
-/// The camera's mounting pose `t_base_camera`: a `camera_optical` frame `height_m` above the origin
-/// of `base_link` and `forward_m` in front of it, facing forward and pitched `pitch_down_rad` below
-/// the horizon.
-#[must_use]
-pub fn camera_mount(forward_m: f64, height_m: f64, pitch_down_rad: f64) -> Pose3 {
-    // The columns are the optical axes x (right), y (down), z (forward) in base_link.
-    let level = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
-    let pitch = Rotation3::from_axis_angle(&Vector3::y_axis(), pitch_down_rad);
-    let rotation = pitch * Rotation3::from_matrix_unchecked(level);
-    Pose3::from_parts(
-        Translation3::new(forward_m, 0.0, height_m),
-        UnitQuaternion::from_rotation_matrix(&rotation),
-    )
-}
-
 fn sin_cos(angle_rad: f64) -> (f64, f64) {
     nalgebra::ComplexField::sin_cos(angle_rad)
 }
@@ -108,7 +93,6 @@ fn hypot(x: f64, y: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Point3;
     use proptest::prelude::*;
 
     fn pose() -> impl Strategy<Value = Pose2> {
@@ -150,24 +134,6 @@ mod tests {
             prop_assert!((wrapped.sin() - angle.sin()).abs() < 1e-9);
             prop_assert!((wrapped.cos() - angle.cos()).abs() < 1e-9);
         }
-    }
-
-    #[test]
-    fn a_level_camera_looks_forward_with_x_right_and_y_down() {
-        let t_base_camera = camera_mount(0.1, 0.8, 0.0);
-        let ahead = t_base_camera * Point3::new(0.0, 0.0, 2.0);
-        assert!((ahead - Point3::new(2.1, 0.0, 0.8)).norm() < 1e-12);
-        let right = t_base_camera * Point3::new(1.0, 0.0, 0.0);
-        assert!((right - Point3::new(0.1, -1.0, 0.8)).norm() < 1e-12);
-        let down = t_base_camera * Point3::new(0.0, 0.8, 0.0);
-        assert!((down - Point3::new(0.1, 0.0, 0.0)).norm() < 1e-12);
-    }
-
-    #[test]
-    fn a_camera_pitched_down_sees_the_floor_in_its_centre() {
-        let t_base_camera = camera_mount(0.0, 1.0, core::f64::consts::FRAC_PI_4);
-        let centre = t_base_camera * Point3::new(0.0, 0.0, core::f64::consts::SQRT_2);
-        assert!((centre - Point3::new(1.0, 0.0, 0.0)).norm() < 1e-12);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use alloc::vec::Vec;
 
-use crate::{Pose3, camera_mount};
+use crate::{CameraMount, LidarMount};
 
 /// Footprint, mounts and discrete actions of one robot: the planner, the safety plane, the simulator and the benchmarks take
 /// their dimensions from here. The sections `[base]`, `[camera]` and `[lidar]` of the configuration describe another robot.
@@ -14,16 +14,8 @@ pub struct RobotDescription {
     pub footprint_radius_m: f64,
     /// Corners of a footprint that is not round, in `base_link`, in order; empty for a round robot.
     pub footprint_m: Vec<[f64; 2]>,
-    /// Height of the camera's optical centre above the floor.
-    pub camera_height_m: f64,
-    /// Distance from `base_link` forward to the camera.
-    pub camera_forward_m: f64,
-    /// Angle of the optical axis below the horizon.
-    pub camera_pitch_down_deg: f64,
-    /// Height of the LiDAR's scan plane above the floor.
-    pub lidar_height_m: f64,
-    /// Distance from `base_link` forward to the LiDAR.
-    pub lidar_forward_m: f64,
+    pub camera: CameraMount,
+    pub lidar: LidarMount,
     /// Distance that the robot drives in one forward action.
     pub forward_step_m: f64,
     /// Angle that the robot rotates in one rotation action.
@@ -38,13 +30,8 @@ impl Default for RobotDescription {
             // A small round robot.
             footprint_radius_m: 0.16,
             footprint_m: Vec::new(),
-            // The paper's camera: 0.8 m high, horizontal.
-            camera_height_m: 0.8,
-            camera_forward_m: 0.0,
-            camera_pitch_down_deg: 0.0,
-            // Low enough for the feet of chairs, which are narrower than their seats.
-            lidar_height_m: 0.18,
-            lidar_forward_m: 0.0,
+            camera: CameraMount::default(),
+            lidar: LidarMount::default(),
             // The paper's actions.
             forward_step_m: 0.03,
             turn_step_deg: 2.0,
@@ -71,18 +58,5 @@ impl RobotDescription {
     #[must_use]
     pub fn turn_radps(&self) -> f64 {
         self.turn_step_deg.to_radians() / self.tick_s()
-    }
-
-    /// `t_base_camera`.
-    #[must_use]
-    pub fn camera_mount(&self) -> Pose3 {
-        let pitch_down_rad = self.camera_pitch_down_deg.to_radians();
-        camera_mount(self.camera_forward_m, self.camera_height_m, pitch_down_rad)
-    }
-
-    /// `t_base_laser`. The LiDAR is mounted level and points forward.
-    #[must_use]
-    pub fn lidar_mount(&self) -> Pose3 {
-        Pose3::translation(self.lidar_forward_m, 0.0, self.lidar_height_m)
     }
 }

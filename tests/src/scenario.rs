@@ -208,7 +208,7 @@ fn robot_config(policy: PolicyKind, options: &RobotOptions) -> RobotConfig {
     RobotConfig {
         camera: options.camera,
         t_base_camera: options.t_base_camera,
-        laser_forward_m: 0.0,
+        t_base_laser: hal::Pose2::IDENTITY,
         forward_step_m: 0.03,
         rotation_step_rad: 2f64.to_radians(),
         tick_s: TICK_NS as f64 * 1e-9,

@@ -41,7 +41,8 @@ hal::settings! {
         baud: u32 = 115200, in 9600..=4000000, unit "bit/s";
         /// Whether the scanner is mounted upside down, so that its beams run in the opposite direction.
         upside_down: bool = false;
-        /// Direction in which the zero of an RPLIDAR, LD06 or LD19 points, counter-clockwise from the robot's forward direction. A Hokuyo scanner must point ahead.
+        /// Direction in which the zero of an RPLIDAR, LD06 or LD19 points, counter-clockwise from forward as seen from above. The driver makes
+        /// it the scanner's front, so that a revolution begins behind the robot; `lidar.yaw_deg` is what remains.
         zero_deg: f64 = 0.0, in -180.0..=180.0, unit "degrees";
         /// Consecutive valid scans that are needed before the scanner counts as working, at the start and after each fault.
         good_scans: u32 = 3, in 1..=100, unit "scans";
@@ -122,8 +123,8 @@ impl LidarConfig {
         self.check_ranges().map_err(HokuyoError::from)?;
         if self.kind == LidarKind::Hokuyo && self.zero_deg.abs() > 0.0 {
             let what = format!(
-                "`zero_deg = {}` is not for Hokuyo scanners: mount it so that its front points ahead, and \
-                 remove the key",
+                "`zero_deg = {}` is not for Hokuyo scanners: remove the key, and set `lidar.yaw_deg` for a \
+                 scanner that is mounted turned",
                 self.zero_deg
             );
             return Err(HokuyoError::Config { what }.into());

@@ -1,6 +1,6 @@
 //! The sections of the configuration that belong to this program. [`hal::settings!`] explains the form of a declaration.
 
-use hal::{CameraModel, Pose3, RobotDescription, Twist2};
+use hal::{CameraModel, CameraMount, LidarMount, Pose3, RobotDescription, Twist2};
 use runtime::{
     model_gate::{GateLimits, TrialLimits},
     perception::{NetworkOptions, Provider},
@@ -20,11 +20,17 @@ hal::settings! {
         /// Horizontal field of view of these images.
         horizontal_fov_deg: f64 = 90.0, in 20.0..=150.0, unit "degrees", source "paper";
         /// Height of the optical centre above the floor.
-        height_m: f64 = RobotDescription::default().camera_height_m, in 0.05..=3.0, unit "m", source "paper";
+        height_m: f64 = CameraMount::default().height_m, in 0.05..=3.0, unit "m", source "paper";
         /// Distance from the centre of the base forward to the camera.
-        forward_m: f64 = RobotDescription::default().camera_forward_m, in -1.0..=1.0, unit "m";
+        forward_m: f64 = CameraMount::default().forward_m, in -1.0..=1.0, unit "m";
+        /// Distance from the centre of the base to the left to the camera.
+        left_m: f64 = CameraMount::default().left_m, in -1.0..=1.0, unit "m";
         /// Angle of the optical axis below the horizon.
-        pitch_down_deg: f64 = RobotDescription::default().camera_pitch_down_deg, in -60.0..=60.0, unit "degrees";
+        pitch_down_deg: f64 = CameraMount::default().pitch_down_deg, in -60.0..=60.0, unit "degrees";
+        /// Rotation about the optical axis: positive where the right side of the camera is lower.
+        roll_deg: f64 = CameraMount::default().roll_deg, in -45.0..=45.0, unit "degrees";
+        /// Direction of the optical axis, counter-clockwise from forward as seen from above.
+        yaw_deg: f64 = CameraMount::default().yaw_deg, in -60.0..=60.0, unit "degrees";
     }
 }
 
@@ -35,16 +41,23 @@ impl CameraSection {
         CameraModel::pinhole(self.width, self.height, self.horizontal_fov_deg.to_radians())
     }
 
-    /// Pose of the camera in the base frame, `t_base_camera`.
+    /// The camera's place on the robot.
     #[must_use]
-    pub fn mount(&self) -> Pose3 {
-        RobotDescription {
-            camera_height_m: self.height_m,
-            camera_forward_m: self.forward_m,
-            camera_pitch_down_deg: self.pitch_down_deg,
-            ..RobotDescription::default()
+    pub fn mount(&self) -> CameraMount {
+        CameraMount {
+            height_m: self.height_m,
+            forward_m: self.forward_m,
+            left_m: self.left_m,
+            pitch_down_deg: self.pitch_down_deg,
+            roll_deg: self.roll_deg,
+            yaw_deg: self.yaw_deg,
         }
-        .camera_mount()
+    }
+
+    /// Pose of the camera in the base frame.
+    #[must_use]
+    pub fn t_base_camera(&self) -> Pose3 {
+        self.mount().t_base_camera()
     }
 }
 
@@ -52,9 +65,33 @@ hal::settings! {
     /// The place of the safety LiDAR on the robot.
     pub struct LidarSection {
         /// Height of the scan plane above the floor: low enough for the feet of chairs.
-        height_m: f64 = RobotDescription::default().lidar_height_m, in 0.02..=3.0, unit "m";
+        height_m: f64 = LidarMount::default().height_m, in 0.02..=3.0, unit "m";
         /// Distance from the centre of the base forward to the LiDAR.
-        forward_m: f64 = RobotDescription::default().lidar_forward_m, in -1.0..=1.0, unit "m";
+        forward_m: f64 = LidarMount::default().forward_m, in -1.0..=1.0, unit "m";
+        /// Distance from the centre of the base to the left to the LiDAR.
+        left_m: f64 = LidarMount::default().left_m, in -1.0..=1.0, unit "m";
+        /// Direction of the LiDAR's front, counter-clockwise from forward as seen from above. The front of an RPLIDAR, LD06 or LD19
+        /// is where `devices.lidar.zero_deg` says that its zero points.
+        yaw_deg: f64 = LidarMount::default().yaw_deg, in -45.0..=45.0, unit "degrees";
+    }
+}
+
+impl LidarSection {
+    /// The LiDAR's place on the robot.
+    #[must_use]
+    pub fn mount(&self) -> LidarMount {
+        LidarMount {
+            height_m: self.height_m,
+            forward_m: self.forward_m,
+            left_m: self.left_m,
+            yaw_deg: self.yaw_deg,
+        }
+    }
+
+    /// Pose of the LiDAR in the base frame.
+    #[must_use]
+    pub fn t_base_laser_3d(&self) -> Pose3 {
+        self.mount().t_base_laser_3d()
     }
 }
 
@@ -185,11 +222,8 @@ impl Config {
         RobotDescription {
             footprint_radius_m: self.base.footprint_radius_m,
             footprint_m: self.base.footprint_m.clone(),
-            camera_height_m: self.camera.height_m,
-            camera_forward_m: self.camera.forward_m,
-            camera_pitch_down_deg: self.camera.pitch_down_deg,
-            lidar_height_m: self.lidar.height_m,
-            lidar_forward_m: self.lidar.forward_m,
+            camera: self.camera.mount(),
+            lidar: self.lidar.mount(),
             forward_step_m: self.base.forward_step_m,
             turn_step_deg: self.base.turn_step_deg,
             tick_ms: self.base.tick_ms,

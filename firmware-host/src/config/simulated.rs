@@ -1,11 +1,85 @@
 //! The section `[simulator]`.
 
+use hal::{CameraMount, LidarMount};
 use simulator::laser::LaserModel;
 use simulator::nuisance::Nuisances;
-use simulator::odometry::OdometryNoise;
+use simulator::odometry::{OdometryNoise, WheelErrors};
 use simulator::robot::{CAMERA_LATENCY_S, FLOOR_TILT_DEG};
 
 use super::odometry::Odometry;
+
+hal::settings! {
+    /// How the simulated robot differs from what `[camera]`, `[lidar]` and `[devices.base]` say of it: what a wrong calibration costs, and
+    /// what `calibrate` finds, can be simulated. By default it is as it is configured.
+    pub struct TruthSection {
+        /// How much farther forward than `camera.forward_m` the camera is.
+        camera_forward_m: f64 = 0.0, in -0.2..=0.2, unit "m";
+        /// How much farther to the left than `camera.left_m` the camera is.
+        camera_left_m: f64 = 0.0, in -0.2..=0.2, unit "m";
+        /// How much higher than `camera.height_m` the camera is.
+        camera_height_m: f64 = 0.0, in -0.2..=0.2, unit "m";
+        /// How much more than `camera.pitch_down_deg` the camera points down.
+        camera_pitch_down_deg: f64 = 0.0, in -10.0..=10.0, unit "degrees";
+        /// How much more than `camera.roll_deg` the camera is rotated about its axis.
+        camera_roll_deg: f64 = 0.0, in -10.0..=10.0, unit "degrees";
+        /// How much more than `camera.yaw_deg` the camera points to the left.
+        camera_yaw_deg: f64 = 0.0, in -10.0..=10.0, unit "degrees";
+        /// How much longer the focal length is than the camera's model says.
+        focal_percent: f64 = 0.0, in -10.0..=10.0, unit "%";
+        /// How much farther forward than `lidar.forward_m` the scanner is.
+        lidar_forward_m: f64 = 0.0, in -0.2..=0.2, unit "m";
+        /// How much farther to the left than `lidar.left_m` the scanner is.
+        lidar_left_m: f64 = 0.0, in -0.2..=0.2, unit "m";
+        /// How much more than `lidar.yaw_deg` the scanner points to the left.
+        lidar_yaw_deg: f64 = 0.0, in -20.0..=20.0, unit "degrees";
+        /// How much larger the left wheel's radius is than configured.
+        left_wheel_percent: f64 = 0.0, in -10.0..=10.0, unit "%";
+        /// How much larger the right wheel's radius is than configured.
+        right_wheel_percent: f64 = 0.0, in -10.0..=10.0, unit "%";
+        /// How much farther apart the wheels are than configured.
+        track_percent: f64 = 0.0, in -10.0..=10.0, unit "%";
+        /// Time by which frames are stamped late, in addition to `camera_latency_s`.
+        camera_late_s: f64 = 0.0, in 0.0..=0.2, unit "s";
+        /// Time by which scans are stamped late.
+        lidar_late_s: f64 = 0.0, in 0.0..=0.2, unit "s";
+    }
+}
+
+impl TruthSection {
+    /// Where the camera really is.
+    #[must_use]
+    pub fn camera(&self, configured: CameraMount) -> CameraMount {
+        CameraMount {
+            height_m: configured.height_m + self.camera_height_m,
+            forward_m: configured.forward_m + self.camera_forward_m,
+            left_m: configured.left_m + self.camera_left_m,
+            pitch_down_deg: configured.pitch_down_deg + self.camera_pitch_down_deg,
+            roll_deg: configured.roll_deg + self.camera_roll_deg,
+            yaw_deg: configured.yaw_deg + self.camera_yaw_deg,
+        }
+    }
+
+    /// Where the scanner really is.
+    #[must_use]
+    pub fn lidar(&self, configured: LidarMount) -> LidarMount {
+        LidarMount {
+            height_m: configured.height_m,
+            forward_m: configured.forward_m + self.lidar_forward_m,
+            left_m: configured.left_m + self.lidar_left_m,
+            yaw_deg: configured.yaw_deg + self.lidar_yaw_deg,
+        }
+    }
+
+    /// How the wheels really are.
+    #[must_use]
+    pub fn wheels(&self) -> WheelErrors {
+        WheelErrors {
+            left: self.left_wheel_percent / 100.0,
+            right: self.right_wheel_percent / 100.0,
+            track: self.track_percent / 100.0,
+        }
+    }
+}
 
 hal::settings! {
     /// The simulated robot.
@@ -45,6 +119,7 @@ hal::settings! {
         /// Whether the LiDAR misses glass and black lacquer, as real ones do. The camera sees both.
         lidar_misses_materials: bool = LaserModel::UTM_30LX.misses_materials;
         nuisances: Nuisances;
+        truth: TruthSection;
     }
 }
 
@@ -52,9 +127,11 @@ impl SimulatorSection {
     /// The errors of the simulated wheels.
     #[must_use]
     pub fn odometry_noise(&self) -> OdometryNoise {
+        let wheels = self.truth.wheels();
         match self.odometry {
-            Odometry::Perfect => OdometryNoise::NONE,
+            Odometry::Perfect => OdometryNoise { wheels, ..OdometryNoise::NONE },
             Odometry::Realistic => OdometryNoise {
+                wheels,
                 translation: self.odometry_distance_noise,
                 rotation: self.odometry_turn_noise,
                 heading_drift_rad: self.odometry_heading_drift,

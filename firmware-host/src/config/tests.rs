@@ -269,9 +269,9 @@ fn planner_safety_plane_and_simulator_use_one_robot_description() {
     assert_eq!(config.plan_config().footprint_radius_m, robot.footprint_radius_m);
     assert_eq!(config.safety_config().footprint_radius_m, robot.footprint_radius_m);
     assert_eq!(simulator::floor::Footprint::default().radius_m, robot.footprint_radius_m);
-    assert_eq!(config.camera.mount(), robot.camera_mount());
-    assert_eq!(simulator::RobotOptions::default().t_base_camera, robot.camera_mount());
-    assert_eq!(simulator::RobotOptions::default().t_base_laser, robot.lidar_mount());
+    assert_eq!(config.camera.t_base_camera(), robot.camera.t_base_camera());
+    assert_eq!(simulator::RobotOptions::default().t_base_camera, robot.camera.t_base_camera());
+    assert_eq!(simulator::RobotOptions::default().t_base_laser, robot.lidar.t_base_laser_3d());
 }
 
 #[test]

@@ -35,7 +35,6 @@ use crate::control_panel::ControlPanel;
 use crate::failure;
 use crate::map::KeptMap;
 use crate::run::status::Status;
-use crate::setup::laser_mount;
 use encode::{Encoder, Item};
 use hub::Hub;
 use order_handler::{LoopOrder, OrderHandler};
@@ -95,8 +94,8 @@ impl Live {
         let server = Server::start(path, Arc::clone(&hub), Arc::new(handler))?;
         let mounts = Mounts {
             camera: config.camera.model(),
-            t_base_camera: config.camera.mount(),
-            t_base_laser: laser_mount(config),
+            t_base_camera: config.camera.t_base_camera(),
+            t_base_laser: config.lidar.t_base_laser_3d(),
         };
         Encoder::start(Arc::clone(&hub), config.live.clone(), mounts, items)?;
         let copies = Copies::new(&config.live, Arc::clone(&hub));

@@ -78,8 +78,8 @@ pub struct RobotConfig {
     pub camera: CameraModel,
     /// Pose of `camera_optical` in `base_link`.
     pub t_base_camera: Pose3,
-    /// Distance of the laser in front of `base_link`'s origin, metres.
-    pub laser_forward_m: f64,
+    /// Pose of `laser` in `base_link`, in the scan plane.
+    pub t_base_laser: Pose2,
     /// Length of the forward primitive, metres.
     pub forward_step_m: f64,
     /// Angle of the rotation primitives, radians.
@@ -220,10 +220,7 @@ impl Robot {
             network,
             truth: DepthEstimate::none(config.camera.width, config.camera.height),
             has_depth: HasDepth::default(),
-            location: Location::new(
-                config.localization.clone(),
-                Pose2::new(config.laser_forward_m, 0.0, 0.0),
-            )?,
+            location: Location::new(config.localization.clone(), config.t_base_laser)?,
             camera_time: CameraTime::default(),
             outside: OutsideOdometry::default(),
             wheel_frame: WheelFrame::default(),
@@ -343,7 +340,8 @@ impl Robot {
         self.note_blocked(input);
         let t_odom_camera = self.poses.t_odom_base_at_frame.to_pose3() * self.config.t_base_camera;
         if let Some(scan) = scan {
-            self.dense.see(scan, &self.poses.t_odom_base_at_scan.compose(&self.t_base_laser()));
+            self.dense
+                .see(scan, &self.poses.t_odom_base_at_scan.compose(&self.config.t_base_laser));
         }
         self.estimate_depth(input, &t_odom_camera, &mut events, timer);
         self.find_camera_time(input);
@@ -540,10 +538,6 @@ impl Robot {
         self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
     }
 
-    fn t_base_laser(&self) -> Pose2 {
-        Pose2::new(self.config.laser_forward_m, 0.0, 0.0)
-    }
-
     fn update_map(&mut self, scan: Option<&LaserScan>) {
         let t_map_base = self.poses.t_map_base();
         let t_map_camera = self.poses.t_map_base_at_frame().to_pose3() * self.config.t_base_camera;
@@ -567,9 +561,8 @@ impl Robot {
             remember_frame_map(&mut self.frame_maps, newest, gap);
         }
         if let Some(scan) = scan {
-            let t_base_laser = self.t_base_laser();
             let t_map_scan = self.poses.t_map_odom.compose(&self.poses.t_odom_base_at_scan);
-            let _ = self.map.integrate_scan(scan, &t_map_scan.compose(&t_base_laser));
+            let _ = self.map.integrate_scan(scan, &t_map_scan.compose(&self.config.t_base_laser));
         }
         if let Some([x_m, y_m]) = self.collision_at.take() {
             let yaw_rad = (y_m - t_map_base.y_m).atan2(x_m - t_map_base.x_m);

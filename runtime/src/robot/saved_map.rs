@@ -16,7 +16,7 @@ use crate::snapshot::{SnapshotError, State};
 
 /// Increased whenever the layout of the grid, of localization, or of the map's correction changes. Older map states are then
 /// refused.
-pub const MAP_STATE_VERSION: u32 = 1;
+pub const MAP_STATE_VERSION: u32 = 2;
 
 /// Why a map cannot be used. The robot is unchanged.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -61,7 +61,7 @@ impl From<SnapshotError> for MapStateError {
 struct MadeWith {
     cell_m: f64,
     side_cells: u64,
-    laser_forward_m: f64,
+    t_base_laser: Pose2,
     source: PoseSource,
     /// The scanner that localization used; `None` if no scan had come.
     scanner: Option<Geometry>,
@@ -72,7 +72,7 @@ impl MadeWith {
         Self {
             cell_m: config.map.cell_m,
             side_cells: config.map.side_cells as u64,
-            laser_forward_m: config.laser_forward_m,
+            t_base_laser: config.t_base_laser,
             source: config.localization.source,
             scanner: location.scanner(),
         }
@@ -82,9 +82,15 @@ impl MadeWith {
         let here = config.map.side_cells;
         same("map.cell_m", &self.cell_m, &config.map.cell_m)?;
         same("map.side_cells", &self.side_cells, &(here as u64))?;
-        same("lidar.forward_m", &self.laser_forward_m, &config.laser_forward_m)?;
+        same("lidar.forward_m", &self.t_base_laser.x_m, &config.t_base_laser.x_m)?;
+        same("lidar.left_m", &self.t_base_laser.y_m, &config.t_base_laser.y_m)?;
+        same("lidar.yaw_deg", &degrees(&self.t_base_laser), &degrees(&config.t_base_laser))?;
         same("localization.source", &self.source, &config.localization.source)
     }
+}
+
+fn degrees(t_base_laser: &Pose2) -> f64 {
+    t_base_laser.yaw_rad.to_degrees()
 }
 
 fn same<T: PartialEq + std::fmt::Debug>(
@@ -122,8 +128,7 @@ impl Robot {
         read_made_with(&mut from)?.check(&self.config)?;
         let mut known = Known::empty(&self.config.map)?;
         known.read(&mut from)?;
-        let t_base_laser = Pose2::new(self.config.laser_forward_m, 0.0, 0.0);
-        let location = Location::new(self.config.localization.clone(), t_base_laser);
+        let location = Location::new(self.config.localization.clone(), self.config.t_base_laser);
         let mut location = location.map_err(|error| MapStateError::Damaged(error.to_string()))?;
         location.read(&mut from)?;
         if !from.is_empty() {

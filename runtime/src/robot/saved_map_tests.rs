@@ -20,7 +20,7 @@ fn config() -> RobotConfig {
     RobotConfig {
         camera: CameraModel::pinhole(64, 32, 1.5),
         t_base_camera: Pose3::identity(),
-        laser_forward_m: 0.0,
+        t_base_laser: Pose2::IDENTITY,
         forward_step_m: 0.03,
         rotation_step_rad: 2f64.to_radians(),
         tick_s: 0.1,
@@ -152,7 +152,13 @@ fn a_map_of_another_configuration_is_refused_by_its_key() {
     assert_eq!(refused(RobotConfig { map, ..config() }), "map.cell_m");
     let map = MapConfig { side_cells: 300, ..config().map };
     assert_eq!(refused(RobotConfig { map, ..config() }), "map.side_cells");
-    assert_eq!(refused(RobotConfig { laser_forward_m: 0.1, ..config() }), "lidar.forward_m");
+    for (t_base_laser, key) in [
+        (Pose2::new(0.1, 0.0, 0.0), "lidar.forward_m"),
+        (Pose2::new(0.0, 0.1, 0.0), "lidar.left_m"),
+        (Pose2::new(0.0, 0.0, 0.1), "lidar.yaw_deg"),
+    ] {
+        assert_eq!(refused(RobotConfig { t_base_laser, ..config() }), key);
+    }
     let localization = LocalizationConfig { source: PoseSource::Wheels, ..config().localization };
     assert_eq!(refused(RobotConfig { localization, ..config() }), "localization.source");
 }

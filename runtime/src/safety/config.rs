@@ -1,7 +1,7 @@
 //! Dimensions, speeds and time limits of the safety plane.
 
-use hal::RobotDescription;
 use hal::settings::{ConfigValue, Kind};
+use hal::{Pose2, RobotDescription};
 use serde::{Deserialize, Serialize};
 
 /// Beams that hit the robot's own body: between two directions, up to a distance.
@@ -61,8 +61,8 @@ pub struct SafetyConfig {
     /// Corners of the footprint in `base_link`, in order; empty for a round robot.
     pub footprint_m: Vec<[f64; 2]>,
     pub body: Vec<BodySector>,
-    /// Distance from `base_link` forward to the LiDAR.
-    pub laser_forward_m: f64,
+    /// Pose of `laser` in `base_link`, in the scan plane.
+    pub t_base_laser: Pose2,
     pub stop_distance_m: f64,
     /// An obstacle that passes the outline at less than this distance may touch it, because of the
     /// scanner's noise. The robot passes it slowly.
@@ -103,7 +103,7 @@ impl SafetySection {
             footprint_radius_m: robot.footprint_radius_m,
             footprint_m: robot.footprint_m.clone(),
             body: self.body.clone(),
-            laser_forward_m: robot.lidar_forward_m,
+            t_base_laser: robot.lidar.t_base_laser(),
             stop_distance_m: self.stop_distance_m,
             lateral_margin_m: LATERAL_MARGIN_M,
             reaction_s: 0.0,

@@ -5,7 +5,7 @@
 //! within range. Single such beams are ordinary, so the path ahead counts as unseen only where they
 //! fill a window that is wide enough to hide an obstacle.
 
-use hal::{LaserScan, Range, ScanGeometry, Twist2};
+use hal::{LaserScan, Pose2, Range, ScanGeometry, Twist2};
 use serde::{Deserialize, Serialize};
 
 use super::Footprint;
@@ -23,6 +23,10 @@ const UNSEEN_SHARE: f64 = 0.9;
 /// The path ahead is judged where the footprint will be when its centre has moved this far beyond
 /// its own radius, metres: at the stop distance, and where the robot must begin to brake.
 const AHEAD_M: [f64; 2] = [0.06, 0.25];
+
+/// A path whose middle is this far beside the field of view is not seen: less than the footprint
+/// covers, and more than any scanner's beams are apart.
+const BESIDE_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 
 /// What a beam measured of the space along it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -52,26 +56,32 @@ impl View {
         }));
     }
 
-    /// Whether a part of the path of a forward twist is not seen. The laser is `laser_forward_m`
-    /// ahead of `base_link`.
+    /// Whether a part of the path of a forward twist is not seen by a laser that is mounted at
+    /// `t_base_laser`.
     pub fn is_blind(
         &self,
         geometry: &ScanGeometry,
-        laser_forward_m: f64,
+        t_base_laser: &Pose2,
         footprint: &Footprint,
         twist: &Twist2,
     ) -> bool {
         let radius_m = footprint.half_width_m();
+        let t_laser_base = t_base_laser.inverse();
         AHEAD_M.into_iter().any(|ahead_m| {
             let travel_m = radius_m + ahead_m;
             let seconds = (travel_m / twist.linear_mps).min(twist.angular_radps.abs().recip());
             let there = twist.integrate(seconds);
-            let x_m = there.x_m - laser_forward_m;
-            let distance_m = x_m.hypot(there.y_m);
+            let (x_m, y_m) = t_laser_base.transform(there.x_m, there.y_m);
+            let distance_m = x_m.hypot(y_m);
             if distance_m <= radius_m {
                 return false;
             }
-            let middle_rad = there.y_m.atan2(x_m);
+            let middle_rad = y_m.atan2(x_m);
+            // A scanner that is mounted turned may look past the path.
+            if beams_between(geometry, middle_rad - BESIDE_RAD, middle_rad + BESIDE_RAD).is_empty()
+            {
+                return true;
+            }
             let half_rad = (radius_m / distance_m).asin();
             let beams = beams_between(geometry, middle_rad - half_rad, middle_rad + half_rad);
             self.has_window(&beams, geometry, ERROR_WINDOW_RAD, ERROR_SHARE, |sight| {
@@ -129,7 +139,7 @@ mod tests {
         let mut view = View::default();
         view.update(&scan);
         let twist = Twist2 { linear_mps: twist.0, angular_radps: twist.1 };
-        view.is_blind(&scan.geometry, 0.0, &ROUND, &twist)
+        view.is_blind(&scan.geometry, &Pose2::IDENTITY, &ROUND, &twist)
     }
 
     fn within(angle: f64, from_deg: f64, to_deg: f64) -> bool {
@@ -175,12 +185,43 @@ mod tests {
     }
 
     #[test]
+    fn a_turned_scanner_is_blind_where_the_path_ahead_is_and_not_where_its_own_front_is() {
+        let forward = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
+        let scan =
+            scan_of(
+                |angle| {
+                    if within(angle, -40.0, -20.0) { Range::Error } else { Range::Hit(2.0) }
+                },
+            );
+        let mut view = View::default();
+        view.update(&scan);
+        for (yaw_deg, blind) in [(30.0_f64, true), (-80.0, false)] {
+            let t_base_laser = Pose2::new(0.0, 0.0, yaw_deg.to_radians());
+            assert_eq!(
+                view.is_blind(&scan.geometry, &t_base_laser, &ROUND, &forward),
+                blind,
+                "{yaw_deg} degrees"
+            );
+        }
+    }
+
+    #[test]
+    fn a_path_outside_of_the_field_of_view_is_not_seen() {
+        let scan = scan_of(|_| Range::Hit(2.0));
+        let mut view = View::default();
+        view.update(&scan);
+        let t_base_laser = Pose2::new(0.0, 0.0, std::f64::consts::PI);
+        let forward = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
+        assert!(view.is_blind(&scan.geometry, &t_base_laser, &ROUND, &forward));
+    }
+
+    #[test]
     fn every_second_beam_is_enough_to_see() {
         let mut scan = scan_of(|_| Range::Hit(2.0));
         scan.ranges.iter_mut().step_by(2).for_each(|range| *range = Range::Error);
         let mut view = View::default();
         view.update(&scan);
         let forward = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
-        assert!(!view.is_blind(&scan.geometry, 0.0, &ROUND, &forward));
+        assert!(!view.is_blind(&scan.geometry, &Pose2::IDENTITY, &ROUND, &forward));
     }
 }

@@ -143,7 +143,7 @@ impl SafetyPlane {
             scan_digest: 0,
             digest_odom: Pose2::IDENTITY,
             scan_frozen: false,
-            witness: Witness::new(config.laser_forward_m),
+            witness: Witness::new(config.t_base_laser),
             wheels_disagree: false,
             config,
         }
@@ -284,8 +284,7 @@ impl SafetyPlane {
         self.surroundings.update(scan);
         if let Some(wheel) = &self.wheel {
             self.wheels_disagree |= self.witness.observe(scan, &wheel.odom);
-            let t_odom_laser =
-                wheel.odom.compose(&Pose2::new(self.config.laser_forward_m, 0.0, 0.0));
+            let t_odom_laser = wheel.odom.compose(&self.config.t_base_laser);
             self.rear.record_scan(scan, &t_odom_laser, &self.surroundings);
         }
     }

@@ -1,6 +1,6 @@
 //! The obstacles of the newest LiDAR scan.
 
-use hal::{LaserScan, Range, ScanGeometry};
+use hal::{LaserScan, Pose2, Range, ScanGeometry};
 use serde::{Deserialize, Serialize};
 
 use super::corridor::View;
@@ -101,7 +101,7 @@ pub(super) fn distance_m(range: Range, geometry: &ScanGeometry) -> Option<f32> {
 /// geometry changes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Surroundings {
-    laser_forward_m: f64,
+    t_base_laser: Pose2,
     horizon_m: f32,
     body: Vec<BodySector>,
     /// One entry for every beam of `geometry`.
@@ -120,6 +120,7 @@ pub struct Surroundings {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Beam {
+    /// Its direction in `base_link`.
     cos: f64,
     sin: f64,
     /// Returns up to this distance come from the robot's own body, metres.
@@ -127,12 +128,14 @@ struct Beam {
 }
 
 impl Beam {
-    fn new(angle_rad: f64, body: &[BodySector]) -> Self {
+    /// A beam at `angle_rad` in the frame of a laser that is turned by `yaw_rad`.
+    fn new(angle_rad: f64, yaw_rad: f64, body: &[BodySector]) -> Self {
         let own_sectors = body
             .iter()
             .filter(|part| (part.from_deg..=part.to_deg).contains(&angle_rad.to_degrees()));
         let own_body_m = own_sectors.map(|part| part.up_to_m as f32).fold(0.0, f32::max);
-        Self { cos: angle_rad.cos(), sin: angle_rad.sin(), own_body_m }
+        let (sin, cos) = (angle_rad + yaw_rad).sin_cos();
+        Self { cos, sin, own_body_m }
     }
 }
 
@@ -141,12 +144,12 @@ impl Surroundings {
     #[must_use]
     pub fn new(config: &SafetyConfig) -> Self {
         let footprint = Footprint::new(config.footprint_radius_m, &config.footprint_m);
-        let needed_m = config.laser_forward_m.abs()
+        let needed_m = config.t_base_laser.x_m.hypot(config.t_base_laser.y_m)
             + footprint.circumscribed_radius_m()
             + config.stop_distance_m
             + SIGHT_M;
         Self {
-            laser_forward_m: config.laser_forward_m,
+            t_base_laser: config.t_base_laser,
             horizon_m: needed_m.max(f64::from(HORIZON_M)) as f32,
             body: config.body.clone(),
             beams: Vec::new(),
@@ -160,8 +163,9 @@ impl Surroundings {
     }
 
     fn set_geometry(&mut self, geometry: ScanGeometry) {
+        let yaw_rad = self.t_base_laser.yaw_rad;
         self.beams = (0..geometry.beams)
-            .map(|index| Beam::new(geometry.angle_rad(index), &self.body))
+            .map(|index| Beam::new(geometry.angle_rad(index), yaw_rad, &self.body))
             .collect();
         self.obstacles.reserve(geometry.beams);
         self.sparse_m.reserve(geometry.beams);
@@ -214,8 +218,8 @@ impl Surroundings {
             if run_length >= MIN_RUN || was_there {
                 let range_m = f64::from(range_m);
                 self.obstacles.push(Obstacle {
-                    x_m: self.laser_forward_m + range_m * beam.cos,
-                    y_m: range_m * beam.sin,
+                    x_m: self.t_base_laser.x_m + range_m * beam.cos,
+                    y_m: self.t_base_laser.y_m + range_m * beam.sin,
                     too_near: *range == Range::TooNear,
                 });
             }
@@ -226,7 +230,7 @@ impl Surroundings {
     #[must_use]
     pub fn is_blind_ahead(&self, footprint: &Footprint, twist: &hal::Twist2) -> bool {
         self.geometry.is_some_and(|geometry| {
-            self.view.is_blind(&geometry, self.laser_forward_m, footprint, twist)
+            self.view.is_blind(&geometry, &self.t_base_laser, footprint, twist)
         })
     }
 
@@ -239,7 +243,10 @@ impl Surroundings {
     /// Distance straight ahead of the outline within which every obstacle is known, metres.
     #[must_use]
     pub fn visible_ahead_m(&self, footprint: &Footprint) -> f64 {
-        f64::from(self.horizon_m) + self.laser_forward_m - footprint.front_edge_m()
+        let horizon_m = f64::from(self.horizon_m);
+        let left_m = self.t_base_laser.y_m;
+        let ahead_m = (horizon_m * horizon_m - left_m * left_m).sqrt();
+        ahead_m + self.t_base_laser.x_m - footprint.front_edge_m()
     }
 
     /// All returns within the horizon, without single stray returns and the robot's own body.
@@ -306,6 +313,10 @@ pub(super) mod tests {
             cos if cos > 0.1 => Range::Hit((distance_m / cos) as f32),
             _ => Range::NoReturn,
         })
+    }
+
+    fn with_laser_at(t_base_laser: Pose2) -> SafetyConfig {
+        SafetyConfig { t_base_laser, ..SafetyConfig::default() }
     }
 
     fn first_obstacle(scan: &LaserScan, twist: Twist2) -> Option<(Obstacle, f64)> {
@@ -494,7 +505,7 @@ pub(super) mod tests {
 
     #[test]
     fn the_laser_position_and_a_large_stop_distance_shift_the_horizon() {
-        let config = SafetyConfig { laser_forward_m: 0.1, ..SafetyConfig::default() };
+        let config = with_laser_at(Pose2::new(0.1, 0.0, 0.0));
         let (obstacle, gap_m) = first_obstacle_with(&config, &wall_ahead(0.15), FORWARD).unwrap();
         assert!(
             (obstacle.x_m - 0.25).abs() < 1e-3 && (gap_m - 0.09).abs() < 1e-3,
@@ -504,15 +515,43 @@ pub(super) mod tests {
             Surroundings::new(config).visible_ahead_m(&Footprint::new(0.16, &[]))
         }
         assert!((visible_m(&config) - (1.5 + 0.1 - 0.16)).abs() < 1e-6);
-        for laser_forward_m in [-0.5, 0.5] {
-            let far =
-                SafetyConfig { laser_forward_m, stop_distance_m: 2.0, ..SafetyConfig::default() };
+        for forward_m in [-0.5, 0.5] {
+            let far = SafetyConfig {
+                stop_distance_m: 2.0,
+                ..with_laser_at(Pose2::new(forward_m, 0.0, 0.0))
+            };
             assert!(
-                (visible_m(&far) - (0.5 + laser_forward_m + 2.0 + 1.0)).abs() < 1e-6,
+                (visible_m(&far) - (0.5 + forward_m + 2.0 + 1.0)).abs() < 1e-6,
                 "{}",
                 visible_m(&far)
             );
         }
+        // From 0.9 m beside the axis, a horizon of 1.5 m reaches 1.2 m ahead on it.
+        let beside = Surroundings {
+            horizon_m: 1.5,
+            ..Surroundings::new(&with_laser_at(Pose2::new(0.0, 0.9, 0.0)))
+        };
+        let ahead_m = beside.visible_ahead_m(&Footprint::new(0.16, &[]));
+        assert!((ahead_m - (1.2 - 0.16)).abs() < 1e-6, "{ahead_m}");
+    }
+
+    #[test]
+    fn a_scanner_in_a_corner_and_turned_outwards_sees_the_wall_ahead_where_it_is() {
+        let t_base_laser = Pose2::new(0.12, -0.1, -0.5);
+        let mut surroundings = Surroundings::new(&with_laser_at(t_base_laser));
+        surroundings.update(&scan_of(|angle| {
+            let cos = (angle + t_base_laser.yaw_rad).cos();
+            if cos > 0.1 {
+                Range::Hit(((0.3 - t_base_laser.x_m) / cos) as f32)
+            } else {
+                Range::NoReturn
+            }
+        }));
+        assert!(surroundings.obstacles().len() > 100);
+        assert!(surroundings.obstacles().iter().all(|obstacle| (obstacle.x_m - 0.3).abs() < 1e-6));
+        let footprint = Footprint::new(0.16, &[]);
+        let (_, gap_m) = surroundings.first_obstacle(&footprint, &FORWARD, 0.2).unwrap();
+        assert!((gap_m - 0.14).abs() < 1e-3, "{gap_m}");
     }
 
     #[test]
@@ -546,8 +585,7 @@ pub(super) mod tests {
 
     #[test]
     fn obstacles_lie_in_the_direction_of_their_beam_and_within_the_horizon() {
-        let mut surroundings =
-            Surroundings::new(&SafetyConfig { laser_forward_m: 0.1, ..SafetyConfig::default() });
+        let mut surroundings = Surroundings::new(&with_laser_at(Pose2::new(0.1, 0.0, 0.0)));
         surroundings.update(&scan_of(|angle| {
             if (0.5..0.6).contains(&angle) { Range::Hit(1.0) } else { Range::Hit(3.0) }
         }));

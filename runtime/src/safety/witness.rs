@@ -51,7 +51,7 @@ const MIN_INFORMATION: f64 = 12.0;
 /// Compares the wheels with the scanner.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Witness {
-    laser_forward_m: f64,
+    t_base_laser: Pose2,
     geometry: Option<ScanGeometry>,
     /// Direction of each beam.
     rays: Vec<[f64; 2]>,
@@ -69,8 +69,8 @@ pub(super) struct Witness {
 remembers!(Witness: reference, reference_ns, reference_odom, drift_m, drift_rad);
 
 impl Witness {
-    pub fn new(laser_forward_m: f64) -> Self {
-        Self { laser_forward_m, ..Self::default() }
+    pub fn new(t_base_laser: Pose2) -> Self {
+        Self { t_base_laser, ..Self::default() }
     }
 
     /// Forgets everything: the robot was disarmed or stopped, or the odometry was reset.
@@ -120,7 +120,7 @@ impl Witness {
 
     /// Adds the difference between the motion of the wheels and that of the scanner to the sums.
     fn compare(&mut self, scan: &LaserScan, wheels: &Pose2) {
-        let t_base_laser = Pose2::new(self.laser_forward_m, 0.0, 0.0);
+        let t_base_laser = self.t_base_laser;
         let guess = t_base_laser.inverse().compose(wheels).compose(&t_base_laser);
         self.drift_m *= MEMORY;
         self.drift_rad *= MEMORY;
@@ -240,7 +240,7 @@ impl Witness {
 /// little of the room was seen to know it in both directions.
 #[must_use]
 pub fn scanner_motion(before: &LaserScan, after: &LaserScan, guess: &Pose2) -> Option<Pose2> {
-    let mut witness = Witness::new(0.0);
+    let mut witness = Witness::new(Pose2::IDENTITY);
     witness.set_geometry(before.geometry);
     witness.set_reference(before, &Pose2::IDENTITY);
     let observed = witness.match_near(after, guess)?;
@@ -315,8 +315,9 @@ mod tests {
     /// Drives for `seconds` while the wheels report `wheels` and the robot moves by `truth`;
     /// returns the time of the first disagreement, seconds.
     fn disagrees_after_s(wheels: Twist2, truth: Twist2, seconds: f64) -> Option<f64> {
-        let mut witness = Witness::new(0.1);
-        let t_base_laser = Pose2::new(0.1, 0.0, 0.0);
+        // A scanner that is mounted in a corner of the robot and turned outwards.
+        let t_base_laser = Pose2::new(0.1, -0.08, -0.4);
+        let mut witness = Witness::new(t_base_laser);
         let mut pose = Pose2::new(-1.0, 0.3, 0.2);
         let mut odom = Pose2::IDENTITY;
         let scans = (seconds / (PERIOD_NS as f64 * 1e-9)) as u64;
@@ -368,7 +369,7 @@ mod tests {
 
     #[test]
     fn a_scanner_that_sees_too_little_is_no_witness() {
-        let mut witness = Witness::new(0.0);
+        let mut witness = Witness::new(Pose2::IDENTITY);
         let mut scan = scan_at(&Pose2::IDENTITY, 0, 0.0);
         scan.ranges[60..].fill(Range::NoReturn);
         for number in 0..400 {
@@ -388,7 +389,7 @@ mod tests {
             guess in -0.1..0.1f64,
         ) {
             let start = Pose2::new(-0.7, 0.2, 0.4);
-            let mut witness = Witness::new(0.0);
+            let mut witness = Witness::new(Pose2::IDENTITY);
             witness.observe(&scan_at(&start, 0, 0.01), &Pose2::IDENTITY);
             let motion = Pose2::new(x, y, yaw);
             let scan = scan_at(&start.compose(&motion), PERIOD_NS, 0.01);

@@ -187,7 +187,7 @@ fn robot() -> Robot {
     let config = RobotConfig {
         camera: CameraModel::pinhole(64, 32, 1.5),
         t_base_camera: Pose3::identity(),
-        laser_forward_m: 0.0,
+        t_base_laser: Pose2::IDENTITY,
         forward_step_m: 0.03,
         rotation_step_rad: 2f64.to_radians(),
         tick_s: 0.1,

@@ -121,8 +121,8 @@ pub fn simulated(
     let mut views = Views {
         views: Vec::new(),
         truth,
-        mount: config.camera.mount(),
-        t_base_laser: Pose2::new(config.lidar.forward_m, 0.0, 0.0),
+        mount: config.camera.t_base_camera(),
+        t_base_laser: config.lidar.mount().t_base_laser(),
     };
     let mut session = Session::new(devices, robot, port, config.base.tick_ns());
     for _ in 0..frames {
@@ -130,7 +130,7 @@ pub fn simulated(
         session.tick(&mut views)?;
     }
     let name = format!("{}, {}", short(world.name()), motion.name());
-    Ok(Sequence { name, camera, mount: Some(config.camera.mount()), views: views.views })
+    Ok(Sequence { name, camera, mount: Some(config.camera.t_base_camera()), views: views.views })
 }
 
 /// A base that drives another twist than the commanded one.

@@ -40,6 +40,32 @@ pub struct OdometryNoise {
     /// Largest distance that a wheel reports too much in one slip, metres. The smallest is a
     /// quarter.
     pub slip_m: f64,
+    /// How the wheels really are.
+    pub wheels: WheelErrors,
+}
+
+/// Known differences of the wheels from their configuration, beside those that are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct WheelErrors {
+    /// True radius of the left wheel over the configured one, minus 1.
+    pub left: f64,
+    /// True radius of the right wheel over the configured one, minus 1.
+    pub right: f64,
+    /// True distance between the wheels over the configured one, minus 1.
+    pub track: f64,
+}
+
+impl WheelErrors {
+    /// What a robot with such wheels believes of a motion.
+    fn believed(&self, motion: &Pose2) -> Pose2 {
+        if *self == Self::default() {
+            return *motion;
+        }
+        let half_track_m = TRACK_M * (1.0 + self.track) / 2.0;
+        let left_m = (motion.x_m - motion.yaw_rad * half_track_m) / (1.0 + self.left);
+        let right_m = (motion.x_m + motion.yaw_rad * half_track_m) / (1.0 + self.right);
+        Pose2::new((left_m + right_m) / 2.0, motion.y_m, (right_m - left_m) / TRACK_M)
+    }
 }
 
 impl OdometryNoise {
@@ -53,6 +79,7 @@ impl OdometryNoise {
         track: 0.0,
         slips_per_100m: 0.0,
         slip_m: 0.0,
+        wheels: WheelErrors { left: 0.0, right: 0.0, track: 0.0 },
     };
 
     /// An ordinary indoor base.
@@ -74,6 +101,7 @@ impl OdometryNoise {
         track: 0.01,
         slips_per_100m: 3.0,
         slip_m: 0.04,
+        wheels: WheelErrors { left: 0.0, right: 0.0, track: 0.0 },
     };
 
     /// Checks the range of every field.
@@ -92,6 +120,14 @@ impl OdometryNoise {
         ];
         let unit = fields.into_iter().map(|(option, value)| (option, value, 1.0));
         let rate = [("odometry slips per 100 m", self.slips_per_100m, 1000.0)];
+        let WheelErrors { left, right, track } = self.wheels;
+        if ![left, right, track].iter().all(|error| (-0.5..=0.5).contains(error)) {
+            return Err(SceneError::Option {
+                option: "wheel errors",
+                value: format!("{:?}", self.wheels),
+                allowed: "numbers from -0.5 to 0.5",
+            });
+        }
         match unit.chain(rate).find(|(_, value, max)| !(0.0..=*max).contains(value)) {
             Some((option, value, max)) => Err(SceneError::Option {
                 option,
@@ -164,7 +200,7 @@ impl Odometer {
             t_before_after.y_m * factor,
             yaw + slip.yaw_rad,
         );
-        self.t_odom_base = self.t_odom_base.compose(&measured);
+        self.t_odom_base = self.t_odom_base.compose(&self.noise.wheels.believed(&measured));
     }
 
     /// The measured pose `t_odom_base`.
@@ -203,6 +239,26 @@ mod tests {
             prop_assert!(odom.distance_m(&truth) < 1e-9);
             prop_assert!(hal::wrap_angle(odom.yaw_rad - truth.yaw_rad).abs() < 1e-9);
         }
+    }
+
+    #[test]
+    fn a_robot_with_a_large_left_wheel_believes_that_it_drives_less_far_and_bends_left() {
+        let wheels = WheelErrors { left: 0.02, ..WheelErrors::default() };
+        let noise = OdometryNoise { wheels, ..OdometryNoise::NONE };
+        let straight = drive(noise, 1, 1, &Pose2::new(1.0, 0.0, 0.0));
+        let left_m = 1.0 / 1.02;
+        assert!((straight.yaw_rad - (1.0 - left_m) / TRACK_M).abs() < 1e-12);
+        assert!((straight.x_m - (1.0 + left_m) / 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_robot_whose_wheels_are_farther_apart_than_it_knows_believes_that_it_rotates_more() {
+        let wheels = WheelErrors { track: 0.05, ..WheelErrors::default() };
+        let noise = OdometryNoise { wheels, ..OdometryNoise::NONE };
+        let rotated = drive(noise, 1, 1, &Pose2::new(0.0, 0.0, 0.5));
+        assert!((rotated.yaw_rad - 0.525).abs() < 1e-12 && rotated.x_m.abs() < 1e-12);
+        let absurd = WheelErrors { track: f64::NAN, ..WheelErrors::default() };
+        assert!(OdometryNoise { wheels: absurd, ..OdometryNoise::NONE }.check().is_err());
     }
 
     #[test]

@@ -74,6 +74,12 @@ pub struct RobotOptions {
     /// Mean time from the exposure of a frame to its time stamp, seconds. The latency of one robot is
     /// drawn by the seed, from half of this to one and a half times this, and stays so.
     pub camera_latency_s: f64,
+    /// What the camera's latency is more than the drawn one, seconds.
+    pub camera_late_s: f64,
+    /// Time by which the time stamps of scans are late, seconds.
+    pub lidar_late_s: f64,
+    /// True focal length over that of `camera`.
+    pub focal_scale: f64,
     /// Time from the first row of a frame to its last, seconds; 0 for a global shutter.
     pub rolling_shutter_s: f64,
     /// Root mean square of the floor's slope, which tilts the robot, radians; 0 for a flat floor.
@@ -90,13 +96,16 @@ impl Default for RobotOptions {
         let robot = RobotDescription::default();
         Self {
             camera: CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2),
-            t_base_camera: robot.camera_mount(),
-            t_base_laser: robot.lidar_mount(),
+            t_base_camera: robot.camera.t_base_camera(),
+            t_base_laser: robot.lidar.t_base_laser_3d(),
             sliding: false,
             odometry: OdometryNoise::default(),
             laser: LaserModel::UTM_30LX,
             nuisances: Nuisances::default(),
             camera_latency_s: CAMERA_LATENCY_S,
+            camera_late_s: 0.0,
+            lidar_late_s: 0.0,
+            focal_scale: 1.0,
             rolling_shutter_s: 0.0,
             floor_tilt_rad: FLOOR_TILT_DEG.to_radians(),
             seed: 0,
@@ -128,6 +137,9 @@ impl RobotOptions {
         }
         let limits = [
             ("camera latency", self.camera_latency_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
+            ("lateness of the camera", self.camera_late_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
+            ("lateness of the scanner", self.lidar_late_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
+            ("focal length", (self.focal_scale - 1.0).abs(), 0.5, "from 0.5 to 1.5 of the model's"),
             ("rolling shutter", self.rolling_shutter_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
             ("floor tilt", self.floor_tilt_rad, STEEPEST_FLOOR_RAD, "from 0 to 0.1 rad"),
         ];
@@ -217,7 +229,8 @@ impl SimulatedRobot {
             trail: Trail::new(0, start),
             floor: Unevenness::new(options.floor_tilt_rad),
             latency_s: options.camera_latency_s
-                * stream_rng(LATENCY_STREAM, options.seed).random_range(0.5..1.5),
+                * stream_rng(LATENCY_STREAM, options.seed).random_range(0.5..1.5)
+                + options.camera_late_s,
             odometer: Odometer::new(options.odometry, options.seed ^ (WHEEL_STREAM << 16)),
             twist: Twist2::ZERO,
             command: Twist2::ZERO,
@@ -292,7 +305,7 @@ impl State {
         let people = self.people(exposed_ns);
         let nuisances = &self.options.nuisances;
         let light = nuisances.lighting(exposed_ns);
-        let camera = &self.options.camera;
+        let camera = &self.true_camera();
         let readout_s = self.options.rolling_shutter_s;
         let at = |passed: f64, above: f64| {
             let after_s = (passed - 0.5) * nuisances.shutter_s + (above - 0.5) * readout_s;
@@ -322,11 +335,20 @@ impl State {
         self.sequence = self.sequence.wrapping_add(1);
     }
 
-    /// What moved during the scan that ended at `end_ns`.
+    /// The camera with its true focal length.
+    fn true_camera(&self) -> CameraModel {
+        let camera = self.options.camera;
+        let scale = self.options.focal_scale;
+        CameraModel { fx: camera.fx * scale, fy: camera.fy * scale, ..camera }
+    }
+
+    /// What moved during the scan that, by its time stamp, ended at `end_ns`.
     fn motion_of_scan(&self, end_ns: u64, period_ns: u64) -> ScanMotion {
+        let late_ns = (self.options.lidar_late_s * 1e9) as u64;
         ScanMotion {
+            late_ns,
             world: Arc::clone(&self.world),
-            people: self.people(end_ns.saturating_sub(period_ns / 2)),
+            people: self.people(end_ns.saturating_sub(period_ns / 2 + late_ns)),
             trail: self.trail.clone(),
             floor: self.floor,
             t_base_laser: self.options.t_base_laser,
@@ -352,14 +374,17 @@ struct ScanMotion {
     trail: Trail,
     floor: Unevenness,
     t_base_laser: Pose3,
-    /// Start of the scan. The first one may have begun before time 0.
+    /// Start of the scan by its time stamp. The first one may have begun before time 0.
     start_ns: i64,
+    /// Time by which the time stamp is late.
+    late_ns: u64,
 }
 
 impl ScanMotion {
     fn scan(&self, model: &LaserModel, rng: &mut Pcg64Mcg, scan: &mut LaserScan) {
         let t_world_laser = |beam| {
-            let time_ns = self.start_ns + laser::beam_after_ns(&model.geometry, beam) as i64;
+            let after_ns = laser::beam_after_ns(&model.geometry, beam) as i64;
+            let time_ns = self.start_ns + after_ns - self.late_ns as i64;
             self.floor.raise(&self.trail.at(time_ns)) * self.t_base_laser
         };
         laser::scan(

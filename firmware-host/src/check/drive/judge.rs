@@ -29,23 +29,21 @@ pub struct Assumed {
     /// Part of the reaction time until the scanner has seen an obstacle, seconds.
     pub sight_s: f64,
     pub coasts: bool,
-    /// `devices.lidar.zero_deg`; `None` for a scanner without that key.
-    pub zero_deg: Option<f64>,
+    /// `lidar.yaw_deg`.
+    pub lidar_yaw_deg: f64,
 }
 
 impl Assumed {
     /// The assumptions that follow from a configuration.
     pub fn new(config: &Config) -> Self {
         let top_mps = config.base.speed_mps().min(config.devices.base.limits.linear_mps);
-        let lidar = &config.devices.lidar;
-        let is_hokuyo = lidar.kind == drivers::lidar::LidarKind::Hokuyo;
         Self {
             safety: config.live_safety_config(),
             course_mps: top_mps.min(COURSE_MPS),
             top_mps,
             sight_s: config.sight_s(),
             coasts: config.devices.base.protocol == Protocol::Odrive,
-            zero_deg: (!is_hokuyo).then_some(lidar.zero_deg),
+            lidar_yaw_deg: config.lidar.yaw_deg,
         }
     }
 }
@@ -188,8 +186,8 @@ fn rotation(what: &'static str, motion: &Motion) -> Judgement {
     }
 }
 
-/// How far the scanner is turned to the left against its configuration, degrees: driving straight ahead, it sees the robot's way
-/// turned to the right by as much.
+/// Direction of the scanner's front, counter-clockwise from forward, degrees: driving straight ahead, it sees the robot's way turned
+/// to the right by as much.
 pub fn lidar_yaw_deg(measured: &Measured) -> Option<f64> {
     let laser = measured.ahead.laser?;
     let wheels = &measured.ahead.wheels;
@@ -199,20 +197,16 @@ pub fn lidar_yaw_deg(measured: &Measured) -> Option<f64> {
 
 fn lidar_yaw(measured: &Measured, assumed: &Assumed) -> Judgement {
     let yaw_deg = lidar_yaw_deg(measured);
-    let advice = match (yaw_deg, assumed.zero_deg) {
-        (None, _) => NOT_SEEN.to_owned(),
-        (Some(yaw_deg), Some(zero_deg)) => {
-            format!("set `devices.lidar.zero_deg = {:.1}`", zero_deg + yaw_deg)
-        }
-        (Some(yaw_deg), None) => {
-            format!("turn the scanner by {:.1} degrees clockwise, seen from above", yaw_deg)
-        }
-    };
+    let advice = yaw_deg.map_or_else(
+        || NOT_SEEN.to_owned(),
+        |yaw_deg| format!("set `lidar.yaw_deg = {yaw_deg:.1}`"),
+    );
     Judgement {
         what: "yaw of the LiDAR",
-        assumed: format!("0 degrees, within {YAW_LIMIT_DEG:.0}"),
+        assumed: format!("{:.1} degrees, within {YAW_LIMIT_DEG:.0}", assumed.lidar_yaw_deg),
         measured: seen(yaw_deg, |yaw_deg| format!("{yaw_deg:.1} degrees")),
-        is_worse: yaw_deg.is_none_or(|yaw_deg| is_above(yaw_deg.abs(), YAW_LIMIT_DEG)),
+        is_worse: yaw_deg
+            .is_none_or(|yaw_deg| is_above((yaw_deg - assumed.lidar_yaw_deg).abs(), YAW_LIMIT_DEG)),
         advice,
     }
 }

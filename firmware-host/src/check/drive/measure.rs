@@ -102,7 +102,7 @@ pub struct Course<B, L, C> {
     /// The emergency stop on an input line, if there is one.
     pub stop_line: Option<StopLine>,
     speed_mps: f64,
-    laser_forward_m: f64,
+    t_base_laser: Pose2,
     period_ns: u64,
     due_ns: u64,
     scan: LaserScan,
@@ -124,7 +124,7 @@ impl<B: Base, L: Lidar, C: Clock> Course<B, L, C> {
         let config = control.plane().config();
         Self {
             speed_mps: assumed.course_mps,
-            laser_forward_m: config.laser_forward_m,
+            t_base_laser: config.t_base_laser,
             period_ns: (config.period_s * 1e9) as u64,
             due_ns: clock.now_ns(),
             control,
@@ -323,8 +323,7 @@ impl<B: Base, L: Lidar, C: Clock> Course<B, L, C> {
         let odom_before = self.wheel.odom;
         let result = drive(self)?;
         let wheels = odom_before.inverse().compose(&self.wheel.odom);
-        let t_base_laser = Pose2::new(self.laser_forward_m, 0.0, 0.0);
-        let guess = t_base_laser.inverse().compose(&wheels).compose(&t_base_laser);
+        let guess = self.t_base_laser.inverse().compose(&wheels).compose(&self.t_base_laser);
         let laser = scanner_motion(&scan_before, &self.scan, &guess);
         Ok((Motion { wheels, laser }, result))
     }

@@ -225,10 +225,16 @@ fn wheels_that_turn_the_wrong_way_end_the_course_and_are_named() {
 fn a_turned_scanner_is_measured_within_a_degree() {
     for turned_deg in [-8.0, 5.0] {
         let robot = Robot { lidar_yaw_rad: f64::to_radians(turned_deg), ..Robot::new() };
-        let (measured, judgements) = driven(robot);
+        let (measured, _) = driven(robot);
         let yaw_deg = judge::lidar_yaw_deg(&measured).unwrap();
         assert!((yaw_deg - turned_deg).abs() < 1.0, "{yaw_deg} of {turned_deg}");
-        assert!(judgements.iter().any(|one| one.what == "yaw of the LiDAR" && one.is_worse));
+        let judged = |yaw_deg| {
+            let judgements =
+                judge::all(&measured, &Assumed { lidar_yaw_deg: yaw_deg, ..assumed() });
+            judgements.into_iter().find(|one| one.what == "yaw of the LiDAR").unwrap()
+        };
+        assert!(judged(0.0).is_worse && judged(0.0).advice.starts_with("set `lidar.yaw_deg = "));
+        assert!(!judged(turned_deg).is_worse, "as configured");
     }
 }
 
