@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use hal::{CameraModel, Pose3};
+use hal::CameraModel;
 use runtime::exploration::PolicyKind;
 use runtime::lidar_agreement::LidarAgreement;
 use runtime::model_gate::LidarView;

@@ -93,6 +93,7 @@ fn hypot(x: f64, y: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Point3;
     use proptest::prelude::*;
 
     fn pose() -> impl Strategy<Value = Pose2> {
