@@ -45,7 +45,7 @@ fn explored(config: &str) -> serde_json::Value {
 }
 
 fn right(summary: &serde_json::Value) -> f64 {
-    summary["accuracy"]["unscaled"]["delta1"].as_f64().unwrap()
+    summary["accuracy"]["coarse"]["all"]["delta1_unscaled"].as_f64().unwrap()
 }
 
 #[test]

@@ -123,7 +123,12 @@ fn a_key_in_the_wrong_section_is_refused_with_the_right_section() {
 #[test]
 fn an_unknown_key_without_a_similar_one_is_refused_with_the_keys_of_the_section() {
     let error = refusal("[lidar]\nqqqq = 1\n");
-    assert!(error.ends_with("line 2: the keys of `lidar` are `height_m`, `forward_m`"), "{error}");
+    assert!(
+        error.ends_with(
+            "line 2: the keys of `lidar` are `height_m`, `forward_m`, `left_m`, `yaw_deg`"
+        ),
+        "{error}"
+    );
     let error = refusal("[zzzzzzzzz]\na = 1\n");
     assert!(
         error.contains("unknown key `zzzzzzzzz`") && error.contains("the sections are `camera`"),
