@@ -21,7 +21,8 @@ pub fn run(arguments: &[String]) -> Result<()> {
     if !names_input {
         accuracy.args(HOMES.iter().flat_map(|home| ["--scene", home]));
     }
-    if arguments.iter().any(|argument| argument.starts_with("--flow-model")) {
+    let uses_network = ["--flow-model", "--depth-model"];
+    if arguments.iter().any(|argument| uses_network.iter().any(|key| argument.starts_with(key))) {
         accuracy.env("ORT_DYLIB_PATH", onnx_runtime::install()?);
     }
     if !arguments.iter().any(|argument| argument == UPDATE) {

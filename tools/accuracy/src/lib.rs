@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod dense_fit;
+pub mod depth_network;
 pub mod disturbance;
 pub mod engine;
 pub mod fit;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use accuracy::dense_fit;
+use accuracy::depth_network::{Input, Refined};
 use accuracy::disturbance::Disturbance;
 use accuracy::engine::{Coarse, Dense, Engine, FlowDepth, ScanAlone};
 use accuracy::fit::Samples;
@@ -55,6 +56,9 @@ struct Options {
     /// Evaluate the paper's method with a learned flow, too: an ONNX model (`cargo xtask models` exports RAFT).
     #[arg(long)]
     flow_model: Option<PathBuf>,
+    /// Evaluate a depth network, too, once given coarse depth as on the robot and once given dense depth.
+    #[arg(long)]
+    depth_model: Option<PathBuf>,
     /// Evaluate every N-th frame only; the learned flow is computed for no others.
     #[arg(long, default_value_t = 1)]
     every: usize,
@@ -97,6 +101,13 @@ fn main() -> Result<()> {
         compare(&options, &sequences, None, |sequence| {
             Ok(Box::new(ScanAlone::new(config, sequence)?))
         })?;
+    }
+    if let Some(model) = &options.depth_model {
+        for input in [Input::Coarse, Input::Dense] {
+            compare(&options, &sequences, None, |sequence| {
+                Ok(Box::new(Refined::new(model, input, &configs[0].1, sequence)?))
+            })?;
+        }
     }
     if options.search {
         compare(&options, &sequences, None, |sequence| {
