@@ -1,0 +1,137 @@
+"""The frames of shards as one set to train on. Poses are in memory, planes are read from the disk as they are used."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from embodied_depth_trainer.data.coarse_depth import read_dataset_dump
+from embodied_depth_trainer.data.frame_set import FrameSet, LazyFrames, joined
+from embodied_depth_trainer.data.frames import Intrinsics
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
+from embodied_depth_trainer.store.store import Store
+
+
+@dataclass(frozen=True)
+class Part:
+    """Consecutive frames of a dataset: a shard, or a dump in memory."""
+
+    frames: FrameSet
+    store: Store | None = None
+    run: str = ""
+    """Name of the run."""
+    name: str = ""
+    """Name of the shard."""
+    digest: str = ""
+    """SHA-256 of the digests of its arrays."""
+    has_lidar: bool = False
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Frames to train on, and where they come from."""
+
+    frames: LazyFrames
+    parts: Sequence[Part]
+    every: int
+    """Every `every`th frame of a shard is used."""
+
+    @property
+    def has_lidar(self) -> bool:
+        return any(part.has_lidar for part in self.parts)
+
+    @property
+    def digests(self) -> list[str]:
+        """The digests of all shards."""
+        return [part.digest for part in self.parts if part.store is not None]
+
+
+def open_dataset(
+    stores: Sequence[Store],
+    dumps: Sequence[Path] = (),
+    size: tuple[int, int] | None = None,
+    every: int = 1,
+    checked: set[str] | None = None,
+) -> Dataset:
+    """All shards of the stores, and dumps of datasets, whose images are reduced to `size`. A shard whose digests are
+    not those that were written is named and left out; those in `checked` are not read again."""
+    parts = [part for store in stores for part in _shards(store, every, checked if checked is not None else set())]
+    for folder in dumps:
+        frames = read_dataset_dump(folder)
+        parts.append(Part(frames.reduced_to(size) if size else frames))
+    if not parts:
+        raise TrainerError("there is no shard to train on; prepare recordings with `embodied-depth prepare`")
+    # A dump has as many runs as views; the shards of one run share its odometry frame.
+    runs: dict[str, int] = {}
+    numbers = [runs.setdefault(part.run, len(runs)) if part.store is not None else -1 for part in parts]
+    frames = joined([part.frames for part in parts])
+    first = np.cumsum([0, *(len(part.frames) for part in parts)])
+    beyond = len(runs)
+    for part, number, begin in zip(parts, numbers, first, strict=False):
+        own = frames.run[begin : begin + len(part.frames)]
+        own[:] = number if part.store is not None else part.frames.run + beyond
+        beyond = max(beyond, int(own.max()) + 1)
+    return Dataset(frames, parts, every)
+
+
+def open_shard(folder: ArrayFolder, labels: ArrayFolder | None = None, every: int = 1) -> LazyFrames:
+    """The frames of one shard."""
+    poses = folder.load("pose", np.float64, every)
+    return LazyFrames(
+        Intrinsics(**folder.meta["camera"]),
+        folder.array("rgb", np.uint8, every),
+        poses,
+        folder.load("time", np.int64, every),
+        np.zeros(len(poses), np.int32),
+        folder.array("coarse", np.uint16, every) if folder.meta["coarse"] else None,
+        None if labels is None else labels.array("labels", np.uint16, every),
+        folder.array("lidar", np.uint16, every),
+        folder.load("held_out", np.bool_, every),
+    )
+
+
+def _shards(store: Store, every: int, checked: set[str]) -> list[Part]:
+    """The shards of a store that are what was written. A segment in two runs is used once."""
+    wanted = {}
+    for run_name, run in store.runs.items():
+        for entry in run.shards:
+            assert entry.shard is not None
+            wanted.setdefault(entry.shard, (run_name, entry))
+
+    def opened(name: str) -> Part | DamagedError:
+        run_name, entry = wanted[name]
+        try:
+            folder = ArrayFolder(store.shard(name))
+            labels = None
+            if store.recipe["labels"]:
+                if entry.labels is None:
+                    raise DamagedError(f"{store.shard(name)} has no labels; prepare its segment again")
+                labels = ArrayFolder(store.labels(entry.labels))
+            if name not in checked:
+                folder.check()
+            if labels is not None and labels.folder.name not in checked:
+                labels.check()
+            return Part(
+                open_shard(folder, labels, every), store, run_name, name, folder.digest, folder.meta["has_lidar"]
+            )
+        except DamagedError as problem:
+            return problem
+
+    parts = []
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        found = tqdm(threads.map(opened, wanted), total=len(wanted), unit="shard", desc="checking", disable=None)
+        for name, part in zip(wanted, found, strict=True):
+            if isinstance(part, DamagedError):
+                print(f"left out: {part}; prepare it again to make it anew", file=sys.stderr)
+                continue
+            parts.append(part)
+            checked.add(name)
+    return parts
