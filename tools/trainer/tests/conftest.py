@@ -17,11 +17,12 @@ TRAINER = Path(__file__).resolve().parents[1]
 
 @pytest.fixture
 def robot(tmp_path: Path) -> Path:
-    """A program that follows the protocol of `firmware-host`."""
+    """A program that follows the protocol of `firmware-host`; it lists its calls in `firmware-host.calls`."""
     program = tmp_path / "firmware-host"
     python = shlex.join([sys.executable, "-m", "tests.fake_robot"])
     paths = f"{TRAINER}:{TRAINER / 'src'}"
-    program.write_text(f'#!/bin/sh\nPYTHONPATH={paths} exec {python} "$@"\n')
+    version = 'if [ "$1" = --version ]; then echo firmware-host 0.0.0; exit; fi'
+    program.write_text(f'#!/bin/sh\n{version}\necho "$@" >> "$0.calls"\nPYTHONPATH={paths} exec {python} "$@"\n')
     program.chmod(0o755)
     return program
 

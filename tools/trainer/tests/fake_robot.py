@@ -78,9 +78,11 @@ def dump(folder: Path, frames: Frames, begin: int) -> None:
 
 
 def perceive(options: argparse.Namespace) -> None:
-    """Writes coarse depth of a run with seed 0."""
+    """Writes coarse depth of a run, or of one of its segments, that shows the room of seed 0."""
     frames, _ = read_recording(options.recording)
-    dump(options.dump, walk(0, 0, len(frames)), 0)
+    first, last = (int(time) // 100_000_000 for time in frames.time_ns[[0, -1]])
+    shown = room(last + 1, (frames.camera.height, frames.camera.width))
+    dump(options.dump, shown.at(slice(first, None)), first)
 
 
 def views(options: argparse.Namespace) -> None:

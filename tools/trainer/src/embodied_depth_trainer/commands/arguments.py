@@ -23,9 +23,7 @@ def image_size(text: str) -> tuple[int, int]:
 
 def add_stores(command: argparse.ArgumentParser) -> None:
     """The stores that `train` and `calibrate` read."""
-    command.add_argument(
-        "--store", type=Path, action="append", default=[], help="output of `prepare`; may be repeated"
-    )
+    command.add_argument("--store", type=Path, action="append", default=[], help="output of `prepare`; may be repeated")
     command.add_argument("--every", type=int, default=1, help="use every Nth frame of each segment [1]")
 
 

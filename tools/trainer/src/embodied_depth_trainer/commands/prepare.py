@@ -11,7 +11,7 @@ from embodied_depth_trainer.commands.arguments import add_firmware_host, image_s
 from embodied_depth_trainer.data.past_frames import GAP, PastFrames
 from embodied_depth_trainer.data.teacher import MEAN, MULTIPLE, STD, Teacher, TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
-from embodied_depth_trainer.store.prepare import Tools, prepare, prune
+from embodied_depth_trainer.store.prepare import Tools, prepare, prune, remove_damaged
 from embodied_depth_trainer.store.recipe import Recipe, engine_of
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.studies.robot import find_firmware_host
@@ -38,6 +38,9 @@ def add_prepare(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--past-gap", type=int, default=GAP, help=f"frames between two past frames [{GAP}]")
     command.add_argument("--no-labels", action="store_true", help="compute no labels")
+    command.add_argument(
+        "--check", action="store_true", help="first compare all digests, and make what is damaged again"
+    )
     command.add_argument(
         "--prune", action="store_true", help="afterwards, remove shards and labels that are not used any more"
     )
@@ -106,6 +109,8 @@ def _teacher_options(options: argparse.Namespace) -> TeacherOptions:
 def run_prepare(options: argparse.Namespace) -> None:
     tools = tools_of(options)
     store = Store.create(options.out, tools.recipe)
+    for problem in remove_damaged(store) if options.check else ():
+        print(f"made again: {problem}", file=sys.stderr)
     report = prepare(options.source, store, tools)
     for file, why in report.damaged.items():
         print(f"{file}: {why}", file=sys.stderr)

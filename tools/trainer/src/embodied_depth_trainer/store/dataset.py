@@ -130,7 +130,7 @@ def _shards(store: Store, every: int, checked: set[str]) -> list[Part]:
         found = tqdm(threads.map(opened, wanted), total=len(wanted), unit="shard", desc="checking", disable=None)
         for name, part in zip(wanted, found, strict=True):
             if isinstance(part, DamagedError):
-                print(f"left out: {part}; prepare it again to make it anew", file=sys.stderr)
+                print(f"left out: {part}; `embodied-depth prepare --check` makes it again", file=sys.stderr)
                 continue
             parts.append(part)
             checked.add(name)

@@ -27,9 +27,7 @@ class Pool:
             raise TrainerError(f"{workers} workers do nothing; give 1 or more")
         # A fork of a process with PyTorch's threads can block.
         spawn = multiprocessing.get_context("spawn")
-        self.processes = (
-            ProcessPoolExecutor(workers, spawn, torch.set_num_threads, (1,)) if workers > 1 else None
-        )
+        self.processes = ProcessPoolExecutor(workers, spawn, torch.set_num_threads, (1,)) if workers > 1 else None
 
     def __enter__(self) -> Self:
         return self

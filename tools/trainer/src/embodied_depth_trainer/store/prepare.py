@@ -13,8 +13,9 @@ from mcap.reader import make_reader
 from embodied_depth_trainer.data.recording import segments
 from embodied_depth_trainer.data.teacher import TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
 from embodied_depth_trainer.store.labels import LabelJob, halo, make_labels
-from embodied_depth_trainer.store.manifest import Entry
+from embodied_depth_trainer.store.manifest import Entry, Run
 from embodied_depth_trainer.store.pool import Pool
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.shards import ShardJob, make_shard
@@ -58,6 +59,25 @@ def prepare(sources: Sequence[Path], store: Store, tools: Tools, growing: bool =
     return report
 
 
+def remove_damaged(store: Store) -> list[str]:
+    """Removes shards and labels whose digests are not those that were written, so that they are made again; returns
+    what was wrong with each."""
+    found = []
+    for run in store.runs.values():
+        for entry in run.shards:
+            assert entry.shard is not None
+            folders = [store.shard(entry.shard)]
+            if entry.labels is not None:
+                folders.append(store.labels(entry.labels))
+            for folder in folders:
+                try:
+                    ArrayFolder(folder).check()
+                except DamagedError as problem:
+                    found.append(str(problem))
+                    shutil.rmtree(folder, ignore_errors=True)
+    return found
+
+
 def find_runs(source: Path) -> list[Path]:
     """Directories that hold segments, in the order of their names."""
     if not source.is_dir():
@@ -65,15 +85,12 @@ def find_runs(source: Path) -> list[Path]:
     return sorted({file.parent for file in source.rglob("recording_*.mcap")})
 
 
-def _shards(
-    runs: Sequence[Path], store: Store, tools: Tools, growing: bool, pool: Pool, report: Report
-) -> None:
+def _shards(runs: Sequence[Path], store: Store, tools: Tools, growing: bool, pool: Pool, report: Report) -> None:
     jobs = {}
     for source in runs:
         run = store.run_of(source)
         for file in segments(source):
-            known = run.entries.get(file.name)
-            if (known is None or not known.is_of(file)) and not (growing and _is_open(file, source)):
+            if not _is_prepared(file, run, store) and not (growing and _is_open(file, source)):
                 jobs[file] = ShardJob(file, store.folder / "shards", tools.recipe, tools.robot)
     for file, entry in pool.each(make_shard, jobs, "segment"):
         run = store.run_of(file.parent)
@@ -82,6 +99,13 @@ def _shards(
         report.segments += 1
         if entry.damage is not None:
             report.damaged[str(file)] = entry.damage
+
+
+def _is_prepared(file: Path, run: Run, store: Store) -> bool:
+    known = run.entries.get(file.name)
+    if known is None or not known.is_of(file):
+        return False
+    return known.shard is None or store.shard(known.shard).is_dir()
 
 
 def _is_open(file: Path, source: Path) -> bool:
