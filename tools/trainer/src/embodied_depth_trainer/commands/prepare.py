@@ -12,7 +12,7 @@ from embodied_depth_trainer.data.past_frames import GAP, PastFrames
 from embodied_depth_trainer.data.teacher import MEAN, MULTIPLE, STD, Teacher, TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.prepare import Tools, prepare, prune, remove_damaged
-from embodied_depth_trainer.store.recipe import Recipe, engine_of
+from embodied_depth_trainer.store.recipe import Coarse, Recipe, engine_of
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.studies.robot import find_firmware_host
 
@@ -79,7 +79,7 @@ def _add_teacher(command: argparse.ArgumentParser) -> None:
 def tools_of(options: argparse.Namespace) -> Tools:
     """The recipe that the options ask for, and what it needs."""
     past = PastFrames(options.past_frames, options.past_gap) if options.past_frames else None
-    coarse = "past frames" if past is not None else options.coarse
+    coarse: Coarse = "past frames" if past is not None else options.coarse
     robot = find_firmware_host(options.firmware_host) if coarse == "robot" else None
     has_labels = coarse != "none" and not options.no_labels
     teacher_options = _teacher_options(options) if options.teacher is not None else None

@@ -1,8 +1,8 @@
 """`embodied-depth watch`: trains on recordings as they arrive.
 
-`pull-buffer --follow` fills a directory. Each segment that arrives is prepared once (`store/`). Whenever there are enough
-new frames, the training continues, and the network is exported and passed to a command such as `push-model`. The robot
-decides whether it accepts the network: a refusal is printed, and the next round follows.
+`pull-buffer --follow` fills a directory. Each segment that arrives is prepared once (`store/`). Whenever there are
+enough new frames, the training continues, and the network is exported and passed to a command such as `push-model`. The
+robot decides whether it accepts the network: a refusal is printed, and the next round follows.
 """
 
 from __future__ import annotations

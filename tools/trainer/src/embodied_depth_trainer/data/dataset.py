@@ -23,8 +23,8 @@ def read_frames(
     every: int = 1,
     past: PastFrames | None = None,
 ) -> Frames:
-    """Reads runs with their dumped coarse depth, and dataset dumps, as one set: every `every`th frame, reduced to `size`
-    rows x columns, with `past` with coarse depth from past frames instead of the robot's own."""
+    """Reads runs with their dumped coarse depth, and dataset dumps, as one set: every `every`th frame, reduced to
+    `size` rows x columns, with `past` with coarse depth from past frames instead of the robot's own."""
     if past is not None and coarse:
         raise TrainerError("coarse depth comes either from past frames or from --coarse; give one of the two")
 

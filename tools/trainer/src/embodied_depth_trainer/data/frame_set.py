@@ -25,10 +25,10 @@ class Planes(Protocol[Value_co]):
     def __len__(self) -> int: ...
 
     @overload
-    def __getitem__(self, index: int) -> NDArray[Value_co]: ...
+    def __getitem__(self, index: NDArray[np.int64], /) -> NDArray[Value_co]: ...
 
     @overload
-    def __getitem__(self, index: NDArray[np.int64]) -> NDArray[Value_co]: ...
+    def __getitem__(self, index: int, /) -> NDArray[Value_co]: ...
 
 
 class FrameSet(Protocol):
@@ -79,12 +79,12 @@ class Concatenated(Generic[Value]):
         return int(self.first[-1])
 
     @overload
-    def __getitem__(self, index: int) -> NDArray[Value]: ...
+    def __getitem__(self, index: NDArray[np.int64], /) -> NDArray[Value]: ...
 
     @overload
-    def __getitem__(self, index: NDArray[np.int64]) -> NDArray[Value]: ...
+    def __getitem__(self, index: int, /) -> NDArray[Value]: ...
 
-    def __getitem__(self, index: int | NDArray[np.int64]) -> NDArray[Value]:
+    def __getitem__(self, index: int | NDArray[np.int64], /) -> NDArray[Value]:
         chosen = np.atleast_1d(np.asarray(index, np.int64))
         outside = (chosen < 0) | (chosen >= len(self))
         if outside.any():
@@ -112,24 +112,19 @@ class LazyFrames:
         return len(self.rgb)
 
 
-def joined(parts: Sequence[FrameSet], runs: Sequence[int] | None = None) -> LazyFrames:
-    """The frames of all parts. `runs` numbers the run of each part; without it, each part has its own runs."""
-    if not parts:
-        raise TrainerError("no frames were given; give at least one --store or --dataset")
+def joined(parts: Sequence[FrameSet], first_runs: Sequence[int]) -> LazyFrames:
+    """The frames of all parts, of which there is at least one. `first_runs` numbers the first run of each part."""
     camera = parts[0].camera
     for part in parts:
         if part.camera != camera:
             raise TrainerError(f"the runs have different cameras, {camera} and {part.camera}; train on them separately")
-    first = np.cumsum([0, *(int(part.run.max(initial=-1)) + 1 for part in parts)])
-    places = [part.run + start for part, start in zip(parts, first, strict=False)]
-    if runs is not None:
-        places = [np.full(len(part), run) for part, run in zip(parts, runs, strict=True)]
+    runs = [part.run + first for part, first in zip(parts, first_runs, strict=True)]
     return LazyFrames(
         camera,
         Concatenated([part.rgb for part in parts]),
         np.concatenate([part.t_world_camera for part in parts]),
         np.concatenate([part.time_ns for part in parts]),
-        np.concatenate(places).astype(np.int32),
+        np.concatenate(runs).astype(np.int32),
         _all_or_none([part.coarse for part in parts]),
         _all_or_none([part.labels for part in parts]),
         _all_or_none([part.lidar for part in parts]),

@@ -54,8 +54,8 @@ class _Points:
 def labels(
     frames: FrameSet, targets: NDArray[np.int64] | None = None, voters: NDArray[np.int64] | None = None
 ) -> NDArray[np.uint16]:
-    """[T, 2, H / CELL, W / CELL]: z-depth in millimetres (0: none) and confidence times 65535 of each cell's middle, for
-    the frames at `targets` (all, if it is not given). The frames at `voters` vote, by default every `EVERY`th."""
+    """[T, 2, H / CELL, W / CELL]: z-depth in millimetres (0: none) and confidence times 65535 of each cell's middle,
+    for the frames at `targets` (all, if it is not given). The frames at `voters` vote, by default every `EVERY`th."""
     if frames.coarse is None:
         raise TrainerError("labels are computed from coarse depth; prepare the recordings with it")
     chosen = np.arange(len(frames)) if targets is None else targets

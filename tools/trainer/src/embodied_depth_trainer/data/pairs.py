@@ -78,14 +78,17 @@ def pairs_by_baseline(frames: FrameSet, rule: PairRule) -> Pairs:
 def sources_of(frames: FrameSet, target: int, among: range, rule: PairRule) -> NDArray[np.int64]:
     """The sources of a frame among consecutive frames, in their order."""
     poses = frames.t_world_camera
-    window = np.arange(max(among.start, target - rule.max_gap), min(among.stop, target + rule.max_gap + 1))
+    first = max(among.start, target - rule.max_gap)
+    end = min(among.stop, target + rule.max_gap + 1)
+    window: NDArray[np.int64] = np.arange(first, end)
     window = window[frames.run[window] == frames.run[target]]
     baseline = np.linalg.norm(poses[window, :3, 3] - poses[target, :3, 3], axis=1)
     window = window[(baseline >= rule.min_baseline_m) & (baseline <= rule.max_baseline_m)]
     if not len(window):
         return window
     points = grid_rays(frames.camera) * rule.assumed_depth_m
-    return window[overlap(poses[window], poses[target], frames.camera, points) >= rule.min_overlap]
+    window = window[overlap(poses[window], poses[target], frames.camera, points) >= rule.min_overlap]
+    return window
 
 
 def pairs_by_gap(frames: FrameSet, gap: int) -> Pairs:

@@ -39,7 +39,9 @@ class FolderWriter:
         self.partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
         shutil.rmtree(self.partial, ignore_errors=True)
         try:
-            self.partial.mkdir(parents=True)
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            # Images of a home are private.
+            self.partial.mkdir(mode=0o700)
         except OSError as problem:
             raise self._unwritable(problem) from problem
         self.digests: dict[str, Any] = {}
@@ -117,12 +119,12 @@ class StoredArray(Generic[Value]):
         return self.count
 
     @overload
-    def __getitem__(self, index: int) -> NDArray[Value]: ...
+    def __getitem__(self, index: NDArray[np.int64], /) -> NDArray[Value]: ...
 
     @overload
-    def __getitem__(self, index: NDArray[np.int64]) -> NDArray[Value]: ...
+    def __getitem__(self, index: int, /) -> NDArray[Value]: ...
 
-    def __getitem__(self, index: int | NDArray[np.int64]) -> NDArray[Value]:
+    def __getitem__(self, index: int | NDArray[np.int64], /) -> NDArray[Value]:
         places = np.atleast_1d(np.asarray(index, np.int64)).tolist()
         rows = np.empty((len(places), *self.row_shape), self.kind)
         try:

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from embodied_depth_trainer.data.frame_set import FrameSet, LazyFrames, joined
 from embodied_depth_trainer.data.frames import Intrinsics
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
+from embodied_depth_trainer.store.manifest import Entry
 from embodied_depth_trainer.store.store import Store
 
 
@@ -27,7 +29,7 @@ class Part:
     frames: FrameSet
     store: Store | None = None
     run: str = ""
-    """Name of the run."""
+    """Path of the list of the run's segments."""
     name: str = ""
     """Name of the shard."""
     digest: str = ""
@@ -69,17 +71,20 @@ def open_dataset(
         parts.append(Part(frames.reduced_to(size) if size else frames))
     if not parts:
         raise TrainerError("there is no shard to train on; prepare recordings with `embodied-depth prepare`")
-    # A dump has as many runs as views; the shards of one run share its odometry frame.
-    runs: dict[str, int] = {}
-    numbers = [runs.setdefault(part.run, len(runs)) if part.store is not None else -1 for part in parts]
-    frames = joined([part.frames for part in parts])
-    first = np.cumsum([0, *(len(part.frames) for part in parts)])
-    beyond = len(runs)
-    for part, number, begin in zip(parts, numbers, first, strict=False):
-        own = frames.run[begin : begin + len(part.frames)]
-        own[:] = number if part.store is not None else part.frames.run + beyond
-        beyond = max(beyond, int(own.max()) + 1)
-    return Dataset(frames, parts, every)
+    return Dataset(joined([part.frames for part in parts], _first_runs(parts)), parts, every)
+
+
+def _first_runs(parts: Sequence[Part]) -> list[int]:
+    """The number of each part's first run. The shards of one run share it, because they share an odometry frame; a dump
+    has as many runs as views."""
+    known: dict[str, int] = {}
+    found = []
+    following = 0
+    for part in parts:
+        first = known.setdefault(part.run, following) if part.store is not None else following
+        found.append(first)
+        following = max(following, first + int(part.frames.run.max(initial=0)) + 1)
+    return found
 
 
 def open_shard(folder: ArrayFolder, labels: ArrayFolder | None = None, every: int = 1) -> LazyFrames:
@@ -100,38 +105,33 @@ def open_shard(folder: ArrayFolder, labels: ArrayFolder | None = None, every: in
 
 def _shards(store: Store, every: int, checked: set[str]) -> list[Part]:
     """The shards of a store that are what was written. A segment in two runs is used once."""
-    wanted = {}
-    for run_name, run in store.runs.items():
+    wanted: dict[str, tuple[str, Entry]] = {}
+    for name, run in store.runs.items():
         for entry in run.shards:
-            assert entry.shard is not None
-            wanted.setdefault(entry.shard, (run_name, entry))
-
-    def opened(name: str) -> Part | DamagedError:
-        run_name, entry = wanted[name]
-        try:
-            folder = ArrayFolder(store.shard(name))
-            labels = None
-            if store.recipe["labels"]:
-                if entry.labels is None:
-                    raise DamagedError(f"{store.shard(name)} has no labels; prepare its segment again")
-                labels = ArrayFolder(store.labels(entry.labels))
-            if name not in checked:
-                folder.check()
-            if labels is not None and labels.folder.name not in checked:
-                labels.check()
-            return Part(
-                open_shard(folder, labels, every), store, run_name, name, folder.digest, folder.meta["has_lidar"]
-            )
-        except DamagedError as problem:
-            return problem
-
+            wanted.setdefault(entry.shard or "", (name, entry))
     parts = []
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        found = tqdm(threads.map(opened, wanted), total=len(wanted), unit="shard", desc="checking", disable=None)
-        for name, part in zip(wanted, found, strict=True):
-            if isinstance(part, DamagedError):
+        opened = threads.map(partial(_part, store, every, checked), wanted.values())
+        for part in tqdm(opened, total=len(wanted), unit="shard", desc="checking", disable=None):
+            if isinstance(part, Part):
+                parts.append(part)
+            else:
                 print(f"left out: {part}; `embodied-depth prepare --check` makes it again", file=sys.stderr)
-                continue
-            parts.append(part)
-            checked.add(name)
     return parts
+
+
+def _part(store: Store, every: int, checked: set[str], listed: tuple[str, Entry]) -> Part | DamagedError:
+    """A shard that is listed in a run, with its labels, or what is wrong with it."""
+    run, entry = listed
+    name = entry.shard or ""
+    try:
+        folder = ArrayFolder(store.shard(name))
+        labels = ArrayFolder(store.labels(entry.labels or f"{name}-none")) if store.recipe["labels"] else None
+        for part in (folder, labels):
+            if part is not None and str(part.folder) not in checked:
+                part.check()
+                checked.add(str(part.folder))
+        frames = open_shard(folder, labels, every)
+    except DamagedError as problem:
+        return problem
+    return Part(frames, store, str(store.folder / run), name, folder.digest, folder.meta["has_lidar"])

@@ -117,7 +117,7 @@ def _dump(job: ShardJob, frames: Frames, scratch: Path) -> Iterator[CoarseDump |
     assert job.robot is not None
     folder = scratch.with_suffix(".coarse")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
         command = [str(job.robot), "perceive", "--recording", str(job.file)]
         call([*command, "--out", str(folder / "look"), "--dump", str(folder / "dump")], folder / "perceive.log")
         yield CoarseDump(folder / "dump", frames)
