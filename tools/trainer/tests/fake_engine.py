@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import struct
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -46,7 +47,7 @@ def messages(file: Path) -> Iterator[tuple[str, bytes]]:
                     topics[record.id] = record.topic
                 elif isinstance(record, Message):
                     yield topics[record.channel_id], record.data
-        except McapError:
+        except (McapError, struct.error):
             return
 
 

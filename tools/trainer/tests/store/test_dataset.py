@@ -20,7 +20,7 @@ from embodied_depth_trainer.data.recording import read_recording
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store import pair_index
 from embodied_depth_trainer.store.dataset import Dataset, open_dataset
-from embodied_depth_trainer.store.pair_index import find_pairs, pairs_within
+from embodied_depth_trainer.store.pair_index import find_pairs, indexed_pairs, pairs_within
 from embodied_depth_trainer.store.prepare import prepare
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.training import checkpoint as checkpoints
@@ -168,7 +168,7 @@ def test_the_pairs_are_those_of_the_whole_run_and_found_once_for_each_shard(
         record(tmp_path / "run", frames, [50] * 4, range(number, number + 1))
         prepare([tmp_path / "run"], store, wanted)
         dataset = open_dataset([store])
-        pairs = pair_index._by_baseline(dataset, RULE)
+        pairs = indexed_pairs(dataset, RULE)
         assert same_pairs(pairs, pairs_by_baseline(dataset.frames, RULE))
     assert found == [(0, 50), (50, 100), (100, 150), (150, 200)]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -104,6 +105,8 @@ class Segment:
     """With localized poses, `t_odom_camera`, and the LiDAR's hits."""
     header: dict[str, Any]
     """The segment's first message."""
+    events: dict[str, int]
+    """How often each kind of event occurred."""
     damage: str | None
     """What ends it before its end."""
 
@@ -116,7 +119,8 @@ def read_segment(file: Path) -> Segment:
         reader.read(file)
     except _BrokenError as problem:
         damage.segments[file.name] = str(problem)
-    return Segment(reader.frames(file, damage), reader.header, damage.segments.get(file.name))
+    frames = reader.frames(file, damage)
+    return Segment(frames, reader.header, dict(reader.events), damage.segments.get(file.name))
 
 
 class _Run:
@@ -125,6 +129,7 @@ class _Run:
     def __init__(self, lidar: bool) -> None:
         self.camera: Intrinsics | None = None
         self.header: dict[str, Any] = {}
+        self.events: Counter[str] = Counter()
         self.topics = {IMAGE, TRUTH, SCAN} if lidar else {IMAGE, TRUTH}
         self.t_camera_base: NDArray[np.floating[Any]] = np.eye(4)
         self.t_base_laser: NDArray[np.float64] = np.eye(4)
@@ -151,7 +156,9 @@ class _Run:
             if channel.topic == TICK:
                 tick = json.loads(message.data)
             elif channel.topic == DECISION and tick is not None:
-                self._localize(file, tick, json.loads(message.data), t_base_camera)
+                decision = json.loads(message.data)
+                self.events.update(event["event"] for event in decision.get("events", []))
+                self._localize(file, tick, decision, t_base_camera)
             elif channel.topic in self.topics and tick is not None:
                 where = f"{file}: tick {tick['tick']}"
                 decode = decoder.decoder_for(channel.message_encoding, schema)

@@ -71,7 +71,10 @@ def make_labels(job: LabelJob) -> str:
     """Labels the frames of a shard; returns the name of its labels."""
     kept = _kept(job)
     names = [*job.before, job.own, *job.after]
-    shards = [open_shard(ArrayFolder(job.shards / name)) for name in names]
+    try:
+        shards = [open_shard(ArrayFolder(job.shards / name)) for name in names]
+    except DamagedError as problem:
+        raise DamagedError(f"{problem}; make it again with `embodied-depth prepare --check`") from None
     frames = joined(shards, [0] * len(shards))
     first = np.cumsum([0, *(len(shard) for shard in shards)])
     begin = int(first[len(job.before)])

@@ -31,12 +31,12 @@ NAME_DIGITS = 8
 def find_pairs(dataset: Dataset, gap: int | None, rule: PairRule) -> tuple[Pairs, Pairs]:
     """Pairs for training, without held-out frames, and pairs of held-out frames for validation: by the rule, or `gap`
     frames apart."""
-    pairs = _by_baseline(dataset, rule) if gap is None else pairs_by_gap(dataset.frames, gap)
+    pairs = indexed_pairs(dataset, rule) if gap is None else pairs_by_gap(dataset.frames, gap)
     frames = dataset.frames
     return without_held_out(frames, pairs), only_held_out(frames, pairs, VALIDATION_FRAMES)
 
 
-def _by_baseline(dataset: Dataset, rule: PairRule) -> Pairs:
+def indexed_pairs(dataset: Dataset, rule: PairRule) -> Pairs:
     """All pairs whose baseline and overlap satisfy the rule, from the indices of all parts."""
     ends = np.cumsum([len(part.frames) for part in dataset.parts])
     found = []

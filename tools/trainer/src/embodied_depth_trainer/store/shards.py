@@ -149,6 +149,9 @@ def _described(segment: Segment, part: Frames, recipe: Recipe) -> dict[str, Any]
         "recipe": recipe.digest,
         "recorded": {key: header.get(key) for key in KEPT_OF_SEGMENT}
         | {key: header["run"].get(key) for key in KEPT_OF_RUN},
+        "events": segment.events,
+        "first_time_ns": int(segment.frames.time_ns[0]),
+        "held_out": int(np.count_nonzero(segment.frames.held_out)),
         "length_m": _length_m(segment.frames),
     }
 
