@@ -9,6 +9,7 @@ from pathlib import Path
 
 from embodied_depth_trainer.commands import (
     calibrate,
+    catalogue,
     evaluate,
     experiment,
     export,
@@ -37,6 +38,12 @@ COMMANDS = (
         prepare.add_prepare,
         prepare.run_prepare,
         "make of recordings what trainings read: frames, coarse depth, poses and labels of each segment",
+    ),
+    (
+        "catalogue",
+        catalogue.add_catalogue,
+        catalogue.run_catalogue,
+        "answer questions about the segments of a store, in SQL",
     ),
     ("train", train.add_train, train.run_train, "train a depth network on recordings, without a depth sensor"),
     (

@@ -140,6 +140,7 @@ def _append(writer: FolderWriter, part: Frames) -> None:
 def _described(segment: Segment, part: Frames, recipe: Recipe) -> dict[str, Any]:
     header = segment.header
     assert segment.frames.lidar is not None
+    assert segment.frames.held_out is not None
     return {
         "frames": len(segment.frames),
         "camera": asdict(part.camera),

@@ -1,0 +1,31 @@
+"""`embodied-depth catalogue`: answers questions about the segments of a store."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, COLUMNS, query
+from embodied_depth_trainer.store.store import Store
+
+EVERYTHING = "SELECT folder, segment, frames, length_m, held_out, damage FROM segments ORDER BY folder, segment"
+
+
+def add_catalogue(command: argparse.ArgumentParser) -> None:
+    command.add_argument("action", choices=("query",), help="query: answer a question in SQL")
+    command.add_argument(
+        "sql",
+        nargs="?",
+        default=EVERYTHING,
+        help=f"query over the table `segments` with the columns {', '.join(COLUMNS)} [all segments]",
+    )
+    command.add_argument(
+        "--store", type=Path, required=True, help=f"output of `prepare`; {CATALOGUE_FILE} is kept in it"
+    )
+
+
+def run_catalogue(options: argparse.Namespace) -> None:
+    answer = query(Store(options.store), options.sql)
+    print("\t".join(answer.columns))
+    for row in answer.rows:
+        print("\t".join("" if value is None else str(value) for value in row))
