@@ -52,7 +52,7 @@ def test_the_table_follows_the_store(store: Store, tmp_path: Path) -> None:
 
 
 def test_a_query_that_cannot_be_answered_names_the_columns(store: Store) -> None:
-    with pytest.raises(TrainerError, match=r"SELECT colour.*columns are folder, segment, began"):
+    with pytest.raises(TrainerError, match=r"(?s)SELECT colour.*columns are folder, segment, began"):
         query(store, "SELECT colour FROM segments")
 
 
