@@ -58,5 +58,5 @@ def test_a_query_that_cannot_be_answered_names_the_columns(store: Store) -> None
 
 def test_the_command_prints_a_table(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
     sql = "SELECT segment, damage, frames FROM segments WHERE frames > 25"
-    assert main(["catalogue", "query", sql, "--store", str(store.folder)]) == 0
+    assert main(["catalogue", "query", "--store", str(store.folder), sql]) == 0
     assert capsys.readouterr().out == "segment\tdamage\tframes\nrecording_0000.mcap\t\t30\n"

@@ -8,16 +8,12 @@ from pathlib import Path
 from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, COLUMNS, query
 from embodied_depth_trainer.store.store import Store
 
-EVERYTHING = "SELECT folder, segment, frames, length_m, held_out, damage FROM segments ORDER BY folder, segment"
-
 
 def add_catalogue(command: argparse.ArgumentParser) -> None:
     command.add_argument("action", choices=("query",), help="query: answer a question in SQL")
     command.add_argument(
         "sql",
-        nargs="?",
-        default=EVERYTHING,
-        help=f"query over the table `segments` with the columns {', '.join(COLUMNS)} [all segments]",
+        help=f"query over the table `segments` with the columns {', '.join(COLUMNS)}",
     )
     command.add_argument(
         "--store", type=Path, required=True, help=f"output of `prepare`; {CATALOGUE_FILE} is kept in it"
