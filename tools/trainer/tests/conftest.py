@@ -17,11 +17,18 @@ TRAINER = Path(__file__).resolve().parents[1]
 
 @pytest.fixture
 def robot(tmp_path: Path) -> Path:
-    """A program that follows the protocol of `firmware-host`."""
+    """A program that follows the protocol of `firmware-host`; it lists its calls in `firmware-host.calls`."""
     program = tmp_path / "firmware-host"
-    python = shlex.join([sys.executable, "-m", "tests.fake_robot"])
-    paths = f"{TRAINER}:{TRAINER / 'src'}"
-    program.write_text(f'#!/bin/sh\nPYTHONPATH={paths} exec {python} "$@"\n')
+    python = shlex.quote(sys.executable)
+    program.write_text(
+        f"""#!/bin/sh
+if [ "$1" = --version ]; then echo firmware-host 0.0.0; exit; fi
+echo "$@" >> "$0.calls"
+export PYTHONPATH={TRAINER}:{TRAINER / "src"}
+if [ "$1" = perceive ]; then shift; exec {python} -m tests.fake_engine "$@"; fi
+exec {python} -m tests.fake_robot "$@"
+"""
+    )
     program.chmod(0o755)
     return program
 

@@ -1,5 +1,5 @@
 """Replaces `firmware-host` in tests of the protocol: a walk through a synthetic room, on which every model that was
-handed over leads elsewhere. `python -m tests.fake_robot explore|perceive|views ...`."""
+handed over leads elsewhere. `python -m tests.fake_robot explore|views ...`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from embodied_depth_trainer.data.frames import Frames
-from embodied_depth_trainer.data.recording import read_recording
 from embodied_depth_trainer.files import write_atomically
 
+from .fake_engine import dump
 from .recordings import write_segment
 from .rooms import room
 
@@ -64,25 +64,6 @@ def walk(seed: int, begin: int, end: int) -> Frames:
     return Frames(**{**vars(frames), "time_ns": frames.time_ns + begin * 100_000_000})
 
 
-def dump(folder: Path, frames: Frames, begin: int) -> None:
-    """Writes planes first and then the index of all planes so far, as the robot does."""
-    folder.mkdir(exist_ok=True)
-    assert frames.coarse is not None
-    file = folder / "dump.json"
-    entries = json.loads(file.read_text())["frames"] if file.exists() else []
-    for index, planes in enumerate(frames.coarse, begin):
-        np.save(folder / f"{index:06}.npy", planes)
-        entries.append({"name": f"{index:06}", "time_ns": index * 100_000_000, "coarse": True})
-    text = json.dumps({"format_version": 1, **asdict(frames.camera), "frames": entries})
-    write_atomically(text.encode(), file)
-
-
-def perceive(options: argparse.Namespace) -> None:
-    """Writes coarse depth of a run with seed 0."""
-    frames, _ = read_recording(options.recording)
-    dump(options.dump, walk(0, 0, len(frames)), 0)
-
-
 def views(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True)
     frames = room(options.count, SIZE, options.seed)
@@ -104,20 +85,18 @@ def views(options: argparse.Namespace) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("command", choices=("explore", "perceive", "views"))
+    parser.add_argument("command", choices=("explore", "views"))
     for name in ("--scene", "--policy", "--config"):
         parser.add_argument(name)
     for name in ("--seed", "--frames", "--first", "--every", "--count"):
         parser.add_argument(name, type=int)
-    for name in ("--out", "--hand-over", "--dump", "--recording"):
+    for name in ("--out", "--hand-over", "--dump"):
         parser.add_argument(name, type=Path)
     options = parser.parse_args()
     if options.scene == "nowhere":
         sys.exit("error: scene `nowhere` does not exist")
     if options.command == "explore":
         explore(options)
-    elif options.command == "perceive":
-        perceive(options)
     else:
         views(options)
 

@@ -16,23 +16,21 @@ from embodied_depth_trainer.data.pairs import PairRule, Pairs, pairs_by_baseline
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.training import checkpoint as checkpoints
 
-from ..recordings import straight, write_segment
 from ..rooms import room
+from ..stores import record, without_coarse
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
-    folder = tmp_path / "run"
-    folder.mkdir()
-    write_segment(folder / "recording_0000.mcap", room(24), straight(24))
-    return folder
+def store(tmp_path: Path) -> Path:
+    record(tmp_path / "run", room(24), [24])
+    return without_coarse(tmp_path / "run", tmp_path / "store").folder
 
 
-def test_typed_options_override_the_experiment_file(run: Path, tmp_path: Path) -> None:
+def test_typed_options_override_the_experiment_file(store: Path, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     out = tmp_path / "out"
     file.write_text(
-        f'recording = ["{run}"]\nnetwork = "monodepth2_r18"\nsteps = 1\nbatch = 4\nsmoothness = 0.5\n'
+        f'store = ["{store}"]\nnetwork = "monodepth2_r18"\nsteps = 1\nbatch = 4\nsmoothness = 0.5\n'
         "baseline = [0.04, 0.2]\nauto_mask = true\nno_exposure = false\n"
     )
     assert main(["train", "--experiment", str(file), "--batch", "2", "--out", str(out)]) == 0
@@ -45,11 +43,11 @@ def test_typed_options_override_the_experiment_file(run: Path, tmp_path: Path) -
     )
 
 
-def test_the_written_experiment_file_starts_the_same_training(run: Path, tmp_path: Path) -> None:
+def test_the_written_experiment_file_starts_the_same_training(store: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     again = tmp_path / "again"
-    options = ["--network", "sc_depth_r18", "--batch", "2", "--size", "32x96", "--no-auto-mask", "--geometry", "0.2"]
-    assert main(["train", "--recording", str(run), *options, "--steps", "1", "--out", str(out)]) == 0
+    options = ["--network", "sc_depth_r18", "--batch", "2", "--no-auto-mask", "--geometry", "0.2"]
+    assert main(["train", "--store", str(store), *options, "--steps", "1", "--out", str(out)]) == 0
     assert main(["train", "--experiment", str(out / "experiment.toml"), "--out", str(again)]) == 0
     one, two = (checkpoints.load(folder / "checkpoint.pt") for folder in (out, again))
     assert one.settings == two.settings
@@ -99,7 +97,7 @@ def test_rotating_on_the_spot_visits_several_pose_bins() -> None:
     assert 8 <= len(np.unique(pose_bins(frames))) <= 16
 
 
-def test_tensorboard_gets_the_loss_and_an_image(tmp_path: Path, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tensorboard_gets_the_loss_and_an_image(tmp_path: Path, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -108,7 +106,7 @@ def test_tensorboard_gets_the_loss_and_an_image(tmp_path: Path, run: Path, monke
     monkeypatch.setattr(board, "SCALARS_EVERY", 1)
     monkeypatch.setattr(board, "IMAGES_EVERY", 2)
     options = ["--network", "monodepth2_r18", "--batch", "2", "--steps", "2", "--tensorboard"]
-    assert main(["train", "--recording", str(run), *options, "--out", str(tmp_path / "out")]) == 0
+    assert main(["train", "--store", str(store), *options, "--out", str(tmp_path / "out")]) == 0
     events = EventAccumulator(str(tmp_path / "out/tensorboard"))
     events.Reload()
     assert [event.step for event in events.Scalars("loss")] == [1, 2]

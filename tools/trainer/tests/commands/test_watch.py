@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 
 from embodied_depth_trainer.commands import watch as watching
-from embodied_depth_trainer.commands.watch import STATE_FILE, WatchSettings, frame_count, runs, watch
+from embodied_depth_trainer.commands.watch import STATE_FILE, Watch, WatchSettings, watch
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.training import checkpoint as checkpoints
 
 from ..fake_robot import walk, wheels
 from ..recordings import write_segment
+from ..stores import calls
 
 
 def pull(folder: Path, run: str, segment: int, count: int = 12) -> None:
@@ -89,10 +90,29 @@ def test_a_missing_command_is_named(settings: WatchSettings) -> None:
         watch(replace(settings, then="no-such-program {}"))
 
 
+def test_only_new_segments_are_prepared(settings: WatchSettings, robot: Path) -> None:
+    pull(settings.pulled, "robot/monday", 0)
+    watch(settings)
+    assert calls(robot) == 1
+    # A watch that begins again knows what it has.
+    pull(settings.pulled, "robot/monday", 1)
+    watch(replace(settings, rounds=2))
+    assert calls(robot) == 2
+    watched = Watch(settings)
+    assert watched.look() == 24
+    assert calls(robot) == 2
+
+
 def test_a_segment_without_an_index_counts_only_once_it_is_complete(settings: WatchSettings) -> None:
     pull(settings.pulled, "run", 0)
-    assert frame_count(settings.pulled / "run") == 12
     file = settings.pulled / "run/recording_0000.mcap"
-    file.write_bytes(file.read_bytes()[:-100])
-    assert frame_count(settings.pulled / "run") == 0
-    assert runs(settings.pulled) == [settings.pulled / "run"]
+    complete = file.read_bytes()
+    file.write_bytes(complete[:-100])
+    watched = Watch(settings)
+    assert watched.look() == 0
+    file.write_bytes(complete)
+    assert watched.look() == 12
+
+
+def test_a_directory_that_does_not_exist_yet_holds_no_frames(settings: WatchSettings) -> None:
+    assert Watch(settings).look() == 0

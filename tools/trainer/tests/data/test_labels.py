@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from embodied_depth_trainer.data.frames import Frames
-from embodied_depth_trainer.data.labels import CELL, agreed, labels, with_labels, write_labels
+from embodied_depth_trainer.data.labels import CELL, agreed, labels
 from embodied_depth_trainer.errors import TrainerError
 
 from ..rooms import room
@@ -71,23 +70,6 @@ def test_confidence_of_a_label_grows_with_the_number_of_agreeing_votes() -> None
     assert vote(2.0, 2.0, 2.0, 2.0, 7.0)[1] < vote(2.0, 2.0, 2.0, 2.0)[1]
 
 
-def test_labels_are_restored_from_their_file_by_time(walk: Frames, tmp_path: Path) -> None:
-    file = tmp_path / "labels.npz"
-    share = write_labels(walk, file)
-    found = with_labels(walk.every(3), file).labels
-    assert found is not None
-    assert np.array_equal(found, labels(walk)[::3])
-    assert share == pytest.approx(float((labels(walk)[:, 0] > 0).mean()))
-
-
-def test_errors_name_files_that_do_not_match(walk: Frames, tmp_path: Path) -> None:
-    with pytest.raises(TrainerError, match=r"labels\.npz does not exist"):
-        with_labels(walk, tmp_path / "labels.npz")
-    write_labels(walk.every(2), tmp_path / "half.npz")
-    with pytest.raises(TrainerError, match=r"half\.npz lacks frames"):
-        with_labels(walk, tmp_path / "half.npz")
-    (tmp_path / "other.npz").write_bytes(b"no labels")
-    with pytest.raises(TrainerError, match=r"other\.npz holds no labels"):
-        with_labels(walk, tmp_path / "other.npz")
+def test_labels_without_coarse_depth_are_refused(walk: Frames) -> None:
     with pytest.raises(TrainerError, match="coarse depth"):
         labels(replace(walk, coarse=None))

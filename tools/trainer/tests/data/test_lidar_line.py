@@ -15,7 +15,7 @@ from embodied_depth_trainer.data.batches import lidar_lines, make_batch
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.lidar_line import MAX_APART_NS, Scan, line
 from embodied_depth_trainer.data.pairs import PairRule, pairs_by_baseline
-from embodied_depth_trainer.data.recording import read_recording
+from embodied_depth_trainer.data.recording import read_recording, read_segment
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.losses.lidar import lidar_error
 from embodied_depth_trainer.training.settings import Settings
@@ -23,6 +23,7 @@ from embodied_depth_trainer.training.trainer import Trainer, train
 
 from ..recordings import straight, write_segment
 from ..rooms import camera, render, room
+from ..stores import record, without_coarse
 
 # From the scanner (x ahead, y left, z up) to a camera that rendered ahead 0.4 m above it.
 AHEAD = np.array([[0, -1, 0, 0], [0, 0, -1, 0.4], [1, 0, 0, 0], [0, 0, 0, 1.0]])
@@ -185,7 +186,7 @@ def test_recorded_scans_are_read_on_request_and_projected_by_the_mounts(tmp_path
     write_segment(tmp_path / "a.mcap", frames, straight(5), scans=scans_of(frames))
     without, _ = read_recording(tmp_path / "a.mcap")
     assert without.lidar is None
-    found, _ = read_recording(tmp_path / "a.mcap", lidar=True)
+    found = read_segment(tmp_path / "a.mcap").frames
     assert found.lidar is not None
     # The recording's camera is 0.1 m ahead of the scanner and 0.4 m above.
     mount = AHEAD.copy()
@@ -201,7 +202,7 @@ def test_a_scan_is_placed_at_the_pose_of_its_own_time(tmp_path: Path) -> None:
     scan = replace(scan_of(ranges), time_ns=int(frames.time_ns[0]))
     behind = [{"x_m": -0.3, "y_m": 0.0, "yaw_rad": 0.0}]
     write_segment(tmp_path / "a.mcap", frames, straight(1), scans=[scan], scan_odom=behind)
-    found, _ = read_recording(tmp_path / "a.mcap", lidar=True)
+    found = read_segment(tmp_path / "a.mcap").frames
     assert found.lidar is not None
     row, millimetres = found.lidar[0]
     valid = millimetres > 0
@@ -215,7 +216,7 @@ def test_a_scan_that_is_too_old_or_new_is_not_used(tmp_path: Path) -> None:
     frames = room(3, (64, 192))
     late = scans_of(frames, MAX_APART_NS + 1)
     write_segment(tmp_path / "a.mcap", frames, straight(3), scans=[late[0], *scans_of(frames)[1:]])
-    found, _ = read_recording(tmp_path / "a.mcap", lidar=True)
+    found = read_segment(tmp_path / "a.mcap").frames
     assert found.lidar is not None
     assert not found.lidar[0].any()
     assert found.lidar[1:, 1].any(axis=1).all()
@@ -226,9 +227,10 @@ def test_a_scan_that_contradicts_its_tick_ends_the_segment(tmp_path: Path) -> No
     scans = scans_of(frames)
     scans[2] = replace(scans[2], ranges_m=scans[2].ranges_m[:5])
     write_segment(tmp_path / "recording_0000.mcap", frames, straight(4), scans=scans, beams=721)
-    found, damage = read_recording(tmp_path, lidar=True)
-    assert len(found) == 2
-    assert "a scan with 5 beams" in str(damage)
+    found = read_segment(tmp_path / "recording_0000.mcap")
+    assert len(found.frames) == 2
+    assert found.damage is not None
+    assert "a scan with 5 beams" in found.damage
 
 
 def test_lidar_loss_without_scans_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -238,7 +240,8 @@ def test_lidar_loss_without_scans_is_refused(tmp_path: Path, capsys: pytest.Capt
         Trainer(frames, pairs, Settings(lidar_weight=0.1))
     with pytest.raises(TrainerError, match="omit --lidar-weight"):
         Trainer(with_lines(frames), pairs, Settings(network="manydepth_r18", lidar_weight=0.1))
-    write_segment(tmp_path / "a.mcap", frames, straight(24))
-    command = ["train", "--recording", str(tmp_path / "a.mcap"), "--network", "monodepth2_r18", "--steps", "1"]
+    record(tmp_path / "run", frames, [24])
+    store = without_coarse(tmp_path / "run", tmp_path / "store")
+    command = ["train", "--store", str(store.folder), "--network", "monodepth2_r18", "--steps", "1"]
     assert main([*command, "--lidar-weight", "0.1", "--out", str(tmp_path / "out")]) == 1
     assert "no LiDAR scan" in capsys.readouterr().err

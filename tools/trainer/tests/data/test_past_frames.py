@@ -123,19 +123,23 @@ def test_edn_trains_with_past_frames_and_its_export_records_it(
     network: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("cv2")
-    frames = room(24)
-    write_segment(tmp_path / "a.mcap", frames, straight(24), truth=True)
-    recording = ["--recording", str(tmp_path / "a.mcap")]
-    train = ["train", *recording, "--network", network, "--batch", "2", "--out", str(tmp_path / "out")]
-    past = ["--past-frames", "2", "--past-gap", "3"]
-    assert main([*train, *past, "--steps", "1"]) == 0
+    run = tmp_path / "run"
+    run.mkdir()
+    write_segment(run / "recording_0000.mcap", room(24), straight(24), truth=True)
+    recording = ["--recording", str(run)]
+    for count in ("1", "2"):
+        past = ["--past-frames", count, "--past-gap", "3"]
+        assert main(["prepare", str(run), *past, "--no-labels", "--out", str(tmp_path / f"store{count}")]) == 0
+    train = ["train", "--network", network, "--batch", "2", "--out", str(tmp_path / "out"), "--steps", "1"]
+    one, two = (["--store", str(tmp_path / name)] for name in ("store1", "store2"))
+    assert main([*train, *two]) == 0
     saved = checkpoints.load(tmp_path / "out/checkpoint.pt")
     assert saved.past_frames == PastFrames(2, 3)
     # Other coarse depth means another training.
-    assert main([*train, *past, "--past-frames", "1", "--steps", "2"]) == 1
+    assert main([*train, *one]) == 1
     assert "past_frames" in capsys.readouterr().err
-    assert main([*train, *past, "--steps", "2", "--coarse", str(tmp_path)]) == 1
-    assert "give one of the two" in capsys.readouterr().err
+    assert main([*train, *one, *two]) == 1
+    assert "different past frames" in capsys.readouterr().err
     out = tmp_path / "edn.onnx"
     assert main(["export", "--checkpoint", str(tmp_path / "out/checkpoint.pt"), "--out", str(out)]) == 0
     metadata = {entry.key: entry.value for entry in onnx.load(str(out)).metadata_props}

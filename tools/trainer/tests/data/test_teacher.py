@@ -15,12 +15,14 @@ from onnx import TensorProto, helper, numpy_helper
 from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.data.alignment import align
 from embodied_depth_trainer.data.frames import Frames
-from embodied_depth_trainer.data.labels import CELL, labels, with_labels
+from embodied_depth_trainer.data.labels import CELL, labels
 from embodied_depth_trainer.data.teacher import MEAN, STD, Teacher, TeacherOptions, teach
 from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.store.dataset import open_dataset
+from embodied_depth_trainer.store.store import Store
 
-from ..recordings import dump_of, straight, write_segment
 from ..rooms import room
+from ..stores import record
 
 Shape = list[int | str]
 ANY: Shape = [1, 3, "height", "width"]
@@ -95,7 +97,8 @@ def test_a_teacher_fills_the_cells_without_a_label_with_aligned_depth(
     file = write_teacher(tmp_path / "teacher.onnx", shape, depth)
     own = labels(walk)
     teacher = Teacher(file, TeacherOptions("depth" if depth else "inverse"))
-    planes, taught = teach(walk, own, teacher)
+    planes = own.copy()
+    taught = teach(walk, np.arange(len(walk)), planes, teacher)
     empty = own[:, 0] == 0
     assert empty.mean() > 0.05
     filled = empty & (planes[:, 0] > 0)
@@ -131,31 +134,32 @@ def test_a_teacher_that_contradicts_the_labels_is_not_used(walk: Frames, tmp_pat
     teacher = Teacher(write_teacher(tmp_path / "teacher.onnx"), TeacherOptions())
     noise = np.random.default_rng(0).integers(0, 256, walk.rgb.shape, np.uint8)
     own = labels(walk)
-    planes, taught = teach(replace(walk, rgb=noise), own, teacher)
+    planes = own.copy()
+    taught = teach(replace(walk, rgb=noise), np.arange(len(walk)), planes, teacher)
     assert taught.frames == 0
     assert np.array_equal(planes, own)
     assert align(np.ones(100), np.linspace(1, 2, 100), np.ones(100)) is None
     assert align(np.linspace(1, 2, 100), np.linspace(1, 2, 100), np.ones(100)) is None
 
 
-def test_the_command_writes_labels_that_training_reads(
-    walk: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_prepare_adds_the_teachers_labels(
+    walk: Frames, tmp_path: Path, robot: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run, coarse, out = tmp_path / "run", tmp_path / "coarse", tmp_path / "labels.npz"
-    run.mkdir()
-    write_segment(run / "recording_0000.mcap", walk, straight(len(walk)))
-    dump_of(walk, coarse)
-    command = ["label", "--recording", str(run), "--coarse", str(coarse), "--out", str(out), "--teacher"]
-    assert main([*command, str(write_teacher(tmp_path / "teacher.onnx"))]) == 0
-    assert "in 12 of 12 frames" in capsys.readouterr().out
-    found = with_labels(walk, out).labels
-    assert found is not None
-    assert (found[:, 0] > 0).mean() > 0.95
+    record(tmp_path / "run", walk, [len(walk)])
+    command = ["prepare", str(tmp_path / "run"), "--firmware-host", str(robot), "--out"]
+    teacher = ["--teacher", str(write_teacher(tmp_path / "teacher.onnx"))]
+    assert main([*command, str(tmp_path / "store"), *teacher]) == 0
+    assert main([*command, str(tmp_path / "without")]) == 0
+    taught, own = (open_dataset([Store(tmp_path / name)]).frames.labels for name in ("store", "without"))
+    assert taught is not None
+    assert own is not None
+    index = np.arange(len(walk))
+    assert (taught[index][:, 0] > 0).mean() > 0.95 > (own[index][:, 0] > 0).mean()
     # A patch that the sizes do not fit, and a file that is no such network.
     fixed = write_teacher(tmp_path / "patch.onnx", patch=16)
-    assert main([*command, str(fixed)]) == 1
+    assert main([*command, str(tmp_path / "other"), "--teacher", str(fixed)]) == 1
     assert "give --teacher-size or --teacher-multiple" in capsys.readouterr().err
-    assert main([*command, str(tmp_path / "nowhere.onnx")]) == 1
+    assert main([*command, str(tmp_path / "third"), "--teacher", str(tmp_path / "nowhere.onnx")]) == 1
     assert "nowhere.onnx does not exist" in capsys.readouterr().err
     small = Teacher(write_teacher(tmp_path / "small.onnx", [1, 3, 28, 56]), TeacherOptions(size=(42, 56)))
     with pytest.raises(TrainerError, match="images only; omit --teacher-size"):

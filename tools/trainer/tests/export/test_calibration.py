@@ -125,5 +125,5 @@ def test_only_a_network_that_predicts_its_error_can_be_calibrated(walk: Frames, 
     assert main(["export-depth", "--network", "edn_r18", "--random", "--size", "64x96", "--out", str(out)]) == 0
     with pytest.raises(TrainerError, match="does not predict the scale of its error"):
         observe(out, walk)
-    with pytest.raises(TrainerError, match="give --coarse and --labels"):
+    with pytest.raises(TrainerError, match="prepare the recordings with both"):
         observe(out, replace(walk, labels=None))

@@ -148,6 +148,6 @@ def test_bfloat16_trains_a_student_from_the_default_network_close_to_single_prec
 
 
 def test_a_gpu_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["train", "--recording", str(tmp_path), "--steps", "1", "--out", str(tmp_path), "--device", "cuda"]
+    command = ["train", "--store", str(tmp_path), "--steps", "1", "--out", str(tmp_path), "--device", "cuda"]
     assert main(command) == 1
     assert "--device cpu" in capsys.readouterr().err

@@ -13,19 +13,18 @@ import torch
 from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.training import checkpoint as checkpoints
 
-from ..recordings import dump_of, straight, write_segment
+from ..recordings import straight, write_segment
 from ..rooms import room
+from ..stores import store_of
 
 
 @pytest.mark.parametrize("network", ["student", "sc_depth_r18"])
-def test_two_processes_learn_what_one_learns_from_the_whole_batch(network: str, tmp_path: Path) -> None:
-    frames = room(24)
+def test_two_processes_learn_what_one_learns_from_the_whole_batch(network: str, tmp_path: Path, robot: Path) -> None:
     run = tmp_path / "run"
-    coarse = tmp_path / "coarse"
     run.mkdir()
-    write_segment(run / "recording_0000.mcap", frames, straight(24))
-    dump_of(frames, coarse)
-    command = ["train", "--recording", str(run), "--coarse", str(coarse), "--network", network, "--batch", "4"]
+    write_segment(run / "recording_0000.mcap", room(24), straight(24))
+    store = store_of(run, tmp_path / "store", robot, labels=False)
+    command = ["train", "--store", str(store.folder), "--network", network, "--batch", "4"]
     command += ["--no-auto-mask", "--steps", "1", "--out"]
     assert main([*command, str(tmp_path / "one")]) == 0
     together = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]

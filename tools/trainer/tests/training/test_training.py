@@ -36,6 +36,7 @@ from embodied_depth_trainer.training.trainer import Trainer, train
 
 from ..recordings import dump_of, straight, write_segment
 from ..rooms import room
+from ..stores import record, store_of
 
 QUICK = Settings(batch=2, learning_rate=1e-3)
 
@@ -96,14 +97,10 @@ def test_interrupted_training_gives_the_same_bits_as_uninterrupted(
     assert not same(weights(in_one), trainer(walk, settings).checkpoint().weights)
 
 
-def test_a_killed_training_continues_to_the_same_bits(tmp_path: Path) -> None:
-    frames = room(24)
-    run = tmp_path / "run"
-    coarse = tmp_path / "coarse"
-    run.mkdir()
-    write_segment(run / "recording_0000.mcap", frames, straight(24))
-    dump_of(frames, coarse)
-    command = ["train", "--recording", str(run), "--coarse", str(coarse), "--batch", "2", "--seed", "3"]
+def test_a_killed_training_continues_to_the_same_bits(tmp_path: Path, robot: Path) -> None:
+    record(tmp_path / "run", room(24), [16, 8])
+    store = store_of(tmp_path / "run", tmp_path / "store", robot)
+    command = ["train", "--store", str(store.folder), "--readers", "2", "--batch", "2", "--seed", "3"]
     command += ["--checkpoint-every", "2", "--out", str(tmp_path / "killed"), "--steps"]
     file = tmp_path / "killed/checkpoint.pt"
     # More steps than it completes before it is killed.
@@ -191,7 +188,7 @@ def test_an_unwritable_output_is_reported_before_the_first_step(walk: Frames) ->
 
 
 def test_networks_with_coarse_input_need_it_and_sizes_must_fit(walk: Frames) -> None:
-    with pytest.raises(TrainerError, match="perceive --recording RUN"):
+    with pytest.raises(TrainerError, match="without --coarse none"):
         trainer(replace(walk, coarse=None))
     trainer(replace(walk, coarse=None), replace(QUICK, network="monodepth2_r18"))
     with pytest.raises(TrainerError, match="multiples of 32"):

@@ -24,8 +24,9 @@ from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.trainer import Trainer, train
 from embodied_depth_trainer.training.validation import Measured, Validation, verdict
 
-from ..recordings import dump_of, straight, write_segment
+from ..recordings import straight, write_segment
 from ..rooms import room
+from ..stores import store_of
 
 LABELS = Settings(
     batch=8, learning_rate=2e-3, photometric_weight=0.0, coarse_weight=0.0, label_weight=1.0, uncertainty_weight=0.1
@@ -143,14 +144,13 @@ def test_a_continued_training_keeps_the_rows_before_it(tmp_path: Path) -> None:
 
 
 def test_train_draws_its_progress_and_says_when_it_cannot_validate(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, robot: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    run, coarse, out = tmp_path / "run", tmp_path / "coarse", tmp_path / "out"
+    run, out = tmp_path / "run", tmp_path / "out"
     run.mkdir()
-    frames = room(24)
-    write_segment(run / "recording_0000.mcap", frames, straight(24, 0.04))
-    dump_of(frames, coarse)
-    command = ["train", "--recording", str(run), "--coarse", str(coarse), "--init", "shipped", "--batch", "2"]
+    write_segment(run / "recording_0000.mcap", room(24), straight(24, 0.04))
+    store = store_of(run, tmp_path / "store", robot)
+    command = ["train", "--store", str(store.folder), "--init", "shipped", "--batch", "2"]
     assert main([*command, "--steps", "2", "--out", str(out)]) == 0
     assert "no validation: no frame with a source is in a held-out place" in capfd.readouterr().err
     assert (out / PICTURE_FILE).read_bytes().startswith(b"\x89PNG")

@@ -21,24 +21,20 @@ def image_size(text: str) -> tuple[int, int]:
     return height, width
 
 
-def add_frames(command: argparse.ArgumentParser) -> None:
-    """The frames that `train` and `evaluate` work on, and where they compute."""
-    command.add_argument(
-        "--recording", type=Path, action="append", default=[], help="--out directory of a run; may be repeated"
-    )
-    command.add_argument(
-        "--coarse",
-        type=Path,
-        action="append",
-        default=[],
-        help="dump of the same run by `firmware-host perceive --dump`; one for each --recording",
-    )
+def add_stores(command: argparse.ArgumentParser) -> None:
+    """The stores that `train` and `calibrate` read."""
+    command.add_argument("--store", type=Path, action="append", default=[], help="output of `prepare`; may be repeated")
+    command.add_argument("--every", type=int, default=1, help="use every Nth frame of each segment [1]")
+
+
+def add_dumps(command: argparse.ArgumentParser) -> None:
+    """Datasets for `train` and `evaluate`."""
     command.add_argument(
         "--dataset", type=Path, action="append", default=[], help="output of `firmware-host perceive --dataset --dump`"
     )
-    command.add_argument("--every", type=int, default=1, help="use every Nth frame of a recording [1]")
-    command.add_argument("--size", type=image_size, help="reduce the images to rows x columns")
-    add_device(command)
+
+
+def add_threads(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--threads", type=int, default=1, help="CPU threads; more only help on an otherwise idle computer [1]"
     )

@@ -7,20 +7,20 @@ from pathlib import Path
 
 import torch
 
-from embodied_depth_trainer.data.dataset import read_frames
+from embodied_depth_trainer.commands.arguments import add_stores
 from embodied_depth_trainer.export import calibration
+from embodied_depth_trainer.store.dataset import open_dataset
+from embodied_depth_trainer.store.store import Store
 
 
 def add_calibrate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--model", type=Path, required=True, help="ONNX file of a student")
-    for name in ("--recording", "--coarse", "--labels"):
-        command.add_argument(name, type=Path, action="append", required=True, help="as for `train`; may be repeated")
-    command.add_argument("--every", type=int, default=1, help="use every Nth frame [1]")
+    add_stores(command)
     command.add_argument("--out", type=Path, required=True, help="ONNX file to write")
 
 
 def run_calibrate(options: argparse.Namespace) -> None:
     torch.set_num_threads(1)
-    frames = read_frames(options.recording, options.coarse, [], None, options.labels, options.every)
+    frames = open_dataset([Store(folder) for folder in options.store], every=options.every).frames
     found, counts = calibration.calibrate(options.model, frames, options.out)
     print(f"{options.out}: from {len(frames)} frames, {calibration.table(counts, found)}")

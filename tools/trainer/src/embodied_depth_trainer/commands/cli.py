@@ -9,14 +9,15 @@ from pathlib import Path
 
 from embodied_depth_trainer.commands import (
     calibrate,
+    catalogue,
     evaluate,
     experiment,
     export,
     fleet,
     jobs,
-    label,
     loop,
     make_default,
+    prepare,
     results,
     train,
     watch,
@@ -32,7 +33,18 @@ COMMANDS = (
         export.run_depth,
         "export a depth network with given or random weights as an ONNX file for the robot's DepthNetwork",
     ),
-    ("label", label.add_label, label.run_label, "compute depth labels for every frame from a whole recording"),
+    (
+        "prepare",
+        prepare.add_prepare,
+        prepare.run_prepare,
+        "make of recordings what trainings read: frames, coarse depth, poses and labels of each segment",
+    ),
+    (
+        "catalogue",
+        catalogue.add_catalogue,
+        catalogue.run_catalogue,
+        "answer questions about the segments of a store, in SQL",
+    ),
     ("train", train.add_train, train.run_train, "train a depth network on recordings, without a depth sensor"),
     (
         "loop",

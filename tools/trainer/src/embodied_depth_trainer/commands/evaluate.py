@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from embodied_depth_trainer.commands.arguments import add_frames
+from embodied_depth_trainer.commands.arguments import add_device, add_dumps, add_threads, image_size
 from embodied_depth_trainer.data.dataset import read_frames
 from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.errors import TrainerError
@@ -24,7 +24,21 @@ from embodied_depth_trainer.training import checkpoint as checkpoints
 
 
 def add_evaluate(command: argparse.ArgumentParser) -> None:
-    add_frames(command)
+    command.add_argument(
+        "--recording", type=Path, action="append", default=[], help="--out directory of a run; may be repeated"
+    )
+    command.add_argument(
+        "--coarse",
+        type=Path,
+        action="append",
+        default=[],
+        help="dump of the same run by `firmware-host perceive --dump`; one for each --recording",
+    )
+    add_dumps(command)
+    command.add_argument("--every", type=int, default=1, help="use every Nth frame of a recording [1]")
+    command.add_argument("--size", type=image_size, help="reduce the images to rows x columns")
+    add_device(command)
+    add_threads(command)
     command.add_argument("--checkpoint", type=Path, help="checkpoint.pt of a training [only the baselines]")
     command.add_argument(
         "--model", type=Path, help="ONNX file of `export`, computed by ONNX Runtime; instead of --checkpoint"

@@ -18,15 +18,17 @@ import torch
 
 from embodied_depth_trainer.commands.arguments import add_amp, add_device, add_init
 from embodied_depth_trainer.commands.export import report_parity
-from embodied_depth_trainer.data.dataset import find_pairs, read_frames
-from embodied_depth_trainer.data.frames import Frames
-from embodied_depth_trainer.data.labels import write_labels
 from embodied_depth_trainer.data.pairs import PairRule
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.export.calibration import calibrate, table
 from embodied_depth_trainer.export.depth import export_checkpoint
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.processes import pick_device
+from embodied_depth_trainer.store.dataset import Dataset, open_dataset
+from embodied_depth_trainer.store.pair_index import find_pairs
+from embodied_depth_trainer.store.prepare import Tools, prepare
+from embodied_depth_trainer.store.recipe import Recipe, engine_of
+from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.training.initial import chosen
 from embodied_depth_trainer.training.progress import Progress, draw
 from embodied_depth_trainer.training.settings import Settings
@@ -110,45 +112,40 @@ CALIBRATION_RUNS = (
 def make_default(robot: Path, work: Path, out: Path, settings: Settings = SETTINGS, device: str = "cpu") -> float:
     """Writes the network to `out` and everything that it is made from to `work`; `robot` is the firmware-host. Returns
     the largest difference between ONNX Runtime and PyTorch."""
-    frames = _frames(robot, RUNS, FRAMES, work)
-    pairs, validation = find_pairs(frames, None, PairRule())
-    trainer = Trainer(frames, pairs, settings, device)
-    _log(f"training on {len(pairs)} of {len(frames)} frames")
+    dataset = _dataset(robot, RUNS, FRAMES, work, "store")
+    pairs, validation = find_pairs(dataset, None, PairRule())
+    trainer = Trainer(dataset.frames, pairs, settings, device)
+    _log(f"training on {len(pairs)} of {len(dataset.frames)} frames")
     with Progress(trainer, validation, STEPS, work / "training") as progress:
         checkpoint = train(trainer, STEPS, work / "training", on_step=progress)
     draw(work / "training")
     uncalibrated = work / "uncalibrated.onnx"
     difference = export_checkpoint(checkpoint, None, uncalibrated)
-    further = _frames(robot, CALIBRATION_RUNS, CALIBRATION_FRAMES, work)
-    calibration, counts = calibrate(uncalibrated, further, out)
+    further = _dataset(robot, CALIBRATION_RUNS, CALIBRATION_FRAMES, work, "calibration-store")
+    calibration, counts = calibrate(uncalibrated, further.frames, out)
     _log(table(counts, calibration))
     return difference
 
 
-def _frames(robot: Path, runs: Sequence[Run], count: int, work: Path) -> Frames:
+def _dataset(robot: Path, runs: Sequence[Run], count: int, work: Path, store_name: str) -> Dataset:
     """The frames of these runs, `count` each, with coarse depth and labels."""
     write_atomically(ROUGH.encode(), work / "rough.toml")
     folders = [work / run.folder for run in runs]
     for run, folder in zip(runs, folders, strict=True):
-        _prepare(robot, run, count, folder, work / "rough.toml")
-    recordings = [folder / "run" for folder in folders]
-    coarse = [folder / "coarse" for folder in folders]
-    return read_frames(recordings, coarse, [], None, [folder / "labels.npz" for folder in folders], EVERY)
+        if not (folder / "run/summary.json").exists():
+            _explore(robot, run, count, folder, work / "rough.toml")
+    tools = Tools(Recipe("robot", engine_of(robot)), robot)
+    store = Store.create(work / store_name, tools.recipe)
+    prepare(folders, store, tools)
+    return open_dataset([store], every=EVERY)
 
 
-def _prepare(robot: Path, run: Run, frames: int, folder: Path, rough: Path) -> None:
-    """Makes one run, its coarse depth and its labels."""
-    if not (folder / "run/summary.json").exists():
-        _log(f"exploring {run.home}")
-        scene = ["--scene", f"builtin:{run.home}", "--policy", run.policy, "--frames", str(frames), "--seed", "1"]
-        config = ["--config", str(rough)] if run.rough else []
-        _call([str(robot), "explore", *scene, *config, "--out", str(folder / "run")])
-    if not (folder / "coarse/dump.json").exists():
-        output = ["--out", str(folder / "look"), "--dump", str(folder / "coarse")]
-        _call([str(robot), "perceive", "--recording", str(folder / "run"), *output])
-    if not (folder / "labels.npz").exists():
-        _log(f"labels of {run.home}")
-        write_labels(read_frames([folder / "run"], [folder / "coarse"], [], None), folder / "labels.npz")
+def _explore(robot: Path, run: Run, frames: int, folder: Path, rough: Path) -> None:
+    """Records one run."""
+    _log(f"exploring {run.home}")
+    scene = ["--scene", f"builtin:{run.home}", "--policy", run.policy, "--frames", str(frames), "--seed", "1"]
+    config = ["--config", str(rough)] if run.rough else []
+    _call([str(robot), "explore", *scene, *config, "--out", str(folder / "run")])
 
 
 def _call(command: Sequence[str]) -> None:
@@ -167,7 +164,7 @@ def _log(text: str) -> None:
 
 def add_make_default(command: argparse.ArgumentParser) -> None:
     command.add_argument("--robot", type=Path, required=True, help="firmware-host, a release build")
-    command.add_argument("--work", type=Path, required=True, help="directory for runs and training; needs 10 GB")
+    command.add_argument("--work", type=Path, required=True, help="directory for runs and training; needs 15 GB")
     add_init(command)
     add_device(command)
     add_amp(command)

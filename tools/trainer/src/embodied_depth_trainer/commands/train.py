@@ -12,14 +12,27 @@ import torch
 
 from embodied_depth_trainer import processes
 from embodied_depth_trainer.commands import experiment
-from embodied_depth_trainer.commands.arguments import add_amp, add_frames, add_init, add_network
+from embodied_depth_trainer.commands.arguments import (
+    add_amp,
+    add_device,
+    add_dumps,
+    add_init,
+    add_network,
+    add_stores,
+    add_threads,
+    image_size,
+)
 from embodied_depth_trainer.data.buffer import select
-from embodied_depth_trainer.data.dataset import find_pairs, read_frames
+from embodied_depth_trainer.data.lidar_line import MAX_APART_NS
 from embodied_depth_trainer.data.pairs import PairRule
 from embodied_depth_trainer.data.past_frames import GAP, PastFrames
+from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.losses.recipes import recipe
 from embodied_depth_trainer.losses.reprojection import LossOptions
+from embodied_depth_trainer.store.dataset import open_dataset
+from embodied_depth_trainer.store.pair_index import find_pairs
+from embodied_depth_trainer.store.store import Store, past_of
 from embodied_depth_trainer.training.initial import chosen
 from embodied_depth_trainer.training.progress import Progress, draw
 from embodied_depth_trainer.training.settings import Settings
@@ -33,7 +46,14 @@ NOT_RECORDED = ("command", "run_command", "experiment")
 
 
 def add_train(command: argparse.ArgumentParser) -> None:
-    add_frames(command)
+    add_stores(command)
+    add_dumps(command)
+    command.add_argument("--size", type=image_size, help="reduce the images of --dataset to rows x columns")
+    add_device(command)
+    add_threads(command)
+    command.add_argument(
+        "--readers", type=int, default=1, help="threads that prepare batches ahead; each prepares one [1]"
+    )
     add_network(command)
     command.add_argument(
         "--steps", type=int, required=True, help="total number of steps; a training in --out continues from where it is"
@@ -81,14 +101,6 @@ def add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--gap", type=int, help="use pairs this many frames apart instead, 4 or 15 in the paper [pairs by baseline]"
     )
-    command.add_argument(
-        "--past-frames",
-        type=int,
-        default=0,
-        choices=(0, 1, 2),
-        help="compute coarse depth from this many past frames, as the paper does [0: the robot's own coarse depth]",
-    )
-    command.add_argument("--past-gap", type=int, default=GAP, help=f"frames between two past frames [{GAP}]")
     command.add_argument("--depth-range", type=float, nargs=2, default=(0.1, 20.0), metavar=("MIN_M", "MAX_M"))
     command.add_argument("--smoothness", type=float, help="weight of the smoothness loss [1e-3; sc_depth_r18: 0.1]")
     command.add_argument("--geometry", type=float, help="weight of the geometry consistency [0; sc_depth_r18: 0.5]")
@@ -96,9 +108,8 @@ def add_train(command: argparse.ArgumentParser) -> None:
         "--coarse-weight", type=float, default=0.1, help="weight of the agreement with coarse depth [0.1]"
     )
     command.add_argument(
-        "--labels", type=Path, action="append", default=[], help="output of `label`; one for each --recording"
+        "--label-weight", type=float, default=1.0, help="weight of the agreement with the store's labels [1]"
     )
-    command.add_argument("--label-weight", type=float, default=1.0, help="weight of the agreement with --labels [1]")
     command.add_argument(
         "--lidar-weight",
         type=float,
@@ -142,7 +153,7 @@ def loss_options(options: argparse.Namespace) -> LossOptions:
     )
 
 
-def settings_of(options: argparse.Namespace) -> Settings:
+def settings_of(options: argparse.Namespace, past: PastFrames | None) -> Settings:
     near, far = options.depth_range
     return Settings(
         network=options.network,
@@ -162,8 +173,8 @@ def settings_of(options: argparse.Namespace) -> Settings:
         init=chosen(options.init),
         amp=options.amp,
         teacher_steps=options.teacher_steps,
-        past_frames=options.past_frames,
-        past_gap=options.past_gap,
+        past_frames=past.count if past is not None else 0,
+        past_gap=past.gap if past is not None else GAP,
         loss=loss_options(options),
     )
 
@@ -171,25 +182,23 @@ def settings_of(options: argparse.Namespace) -> Settings:
 def run_train(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     device = processes.start(options.device)
-    frames = read_frames(
-        options.recording,
-        options.coarse,
-        options.dataset,
-        options.size,
-        options.labels,
-        options.every,
-        lidar=options.lidar_weight > 0,
-        past=PastFrames(options.past_frames, options.past_gap) if options.past_frames else None,
-    )
+    stores = [Store(folder) for folder in options.store]
+    dataset = open_dataset(stores, options.dataset, options.size, options.every)
+    frames = dataset.frames
+    if options.lidar_weight > 0 and not dataset.has_lidar:
+        raise TrainerError(
+            f"no LiDAR scan is within {MAX_APART_NS // 1_000_000} ms of one of the {len(frames)} frames; "
+            "train on them without --lidar-weight"
+        )
     low, high = options.baseline
-    pairs, validation = find_pairs(frames, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
+    pairs, validation = find_pairs(dataset, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
     print(
         f"{len(frames)} frames, {len(pairs)} of them have source frames; validation on {len(validation)} held-out ones",
         file=sys.stderr,
     )
     if options.buffer is not None:
         pairs = select(frames, pairs, options.buffer, options.keep, options.seed)
-    trainer = Trainer(frames, pairs, settings_of(options), device)
+    trainer = Trainer(frames, pairs, settings_of(options, past_of(stores)), device, options.readers)
     first = processes.rank() == 0
     if first:
         recorded = {name: value for name, value in vars(options).items() if name not in NOT_RECORDED}

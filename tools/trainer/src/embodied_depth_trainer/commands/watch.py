@@ -1,8 +1,8 @@
 """`embodied-depth watch`: trains on recordings as they arrive.
 
-`pull-buffer --follow` fills a directory. Whenever it holds enough new frames, their coarse depth and labels are
-computed, the training continues, and the network is exported and passed to a command such as `push-model`. The robot
-decides whether it accepts the network: a refusal is printed, and the next round follows.
+`pull-buffer --follow` fills a directory. Each segment that arrives is prepared once (`store/`). Whenever there are
+enough new frames, the training continues, and the network is exported and passed to a command such as `push-model`. The
+robot decides whether it accepts the network: a refusal is printed, and the next round follows.
 """
 
 from __future__ import annotations
@@ -10,29 +10,27 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
-import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 
 from embodied_depth_trainer.commands.arguments import add_amp, add_device, add_firmware_host, add_init
 from embodied_depth_trainer.commands.make_default import SETTINGS
-from embodied_depth_trainer.data.dataset import find_pairs, read_frames
-from embodied_depth_trainer.data.labels import write_labels
 from embodied_depth_trainer.data.pairs import PairRule
-from embodied_depth_trainer.data.recording import IMAGE, segments
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.export.depth import export_checkpoint
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.processes import pick_device
-from embodied_depth_trainer.studies.robot import find_firmware_host, last_lines
+from embodied_depth_trainer.store.dataset import open_dataset
+from embodied_depth_trainer.store.pair_index import find_pairs
+from embodied_depth_trainer.store.prepare import Tools, prepare
+from embodied_depth_trainer.store.recipe import Recipe, engine_of
+from embodied_depth_trainer.store.store import Store
+from embodied_depth_trainer.studies.robot import find_firmware_host
 from embodied_depth_trainer.training.initial import SHIPPED, SHIPPED_NAME, chosen
 from embodied_depth_trainer.training.progress import VALIDATIONS, Progress, draw
 from embodied_depth_trainer.training.settings import Settings
@@ -55,7 +53,7 @@ class WatchSettings:
     pulled: Path
     """Directory that holds runs, at any depth."""
     work: Path
-    """Directory of coarse depth, labels, the checkpoint, models and the state."""
+    """Directory of the store, the checkpoint, models and the state."""
     robot: Path
     """Path of firmware-host."""
     frames: int = 600
@@ -74,45 +72,43 @@ class WatchSettings:
     device: str = "cpu"
 
 
+class Watch:
+    """A directory that is watched, and its store."""
+
+    def __init__(self, settings: WatchSettings) -> None:
+        self.settings = settings
+        self.tools = Tools(Recipe("robot", engine_of(settings.robot)), settings.robot)
+        self.store = Store.create(settings.work / "store", self.tools.recipe)
+        # A shard's digests are compared once in the life of a watch.
+        self.checked: set[str] = set()
+
+    def look(self) -> int:
+        """Prepares the segments that are new; returns the number of frames in all."""
+        if self.settings.pulled.is_dir():
+            report = prepare([self.settings.pulled], self.store, self.tools, growing=True)
+            for file, why in report.damaged.items():
+                _log(f"{file}: {why}")
+        return self.store.frames
+
+
 def watch(settings: WatchSettings) -> list[Path]:
     """Trains until `rounds` are done; returns the networks of this call."""
-    settings.work.mkdir(parents=True, exist_ok=True)
+    watched = Watch(settings)
     networks = []
     done, used = _read_state(settings.work)
     while settings.rounds is None or done < settings.rounds:
-        available = sum(frame_count(run) for run in runs(settings.pulled))
+        available = watched.look()
         # Frames that arrive during the round count as new for the next one.
         if available - used < settings.frames:
             time.sleep(POLL_INTERVAL_S)
             continue
         _log(f"round {done}: {available} frames, {available - used} of them new")
-        networks.append(_round(settings, done))
+        networks.append(_round(watched, done))
         done += 1
         used = available
         write_atomically(json.dumps({"rounds": done, "frames": used}).encode(), settings.work / STATE_FILE)
         _hand_over(settings, networks[-1])
     return networks
-
-
-def runs(pulled: Path) -> list[Path]:
-    """Directories that hold segments, in the order of their names."""
-    return sorted({file.parent for file in pulled.rglob("recording_*.mcap")})
-
-
-def frame_count(run: Path) -> int:
-    """The number of frames in a run by the segments' indices. A segment without an index was cut off and counts once
-    the run's next segment exists."""
-    count = 0
-    for file in segments(run):
-        with file.open("rb") as stream:
-            try:
-                summary = make_reader(stream).get_summary()
-            except McapError:
-                continue
-        if summary is not None and summary.statistics is not None:
-            images = [channel.id for channel in summary.channels.values() if channel.topic == IMAGE]
-            count += sum(summary.statistics.channel_message_counts.get(channel, 0) for channel in images)
-    return count
 
 
 def _read_state(work: Path) -> tuple[int, int]:
@@ -123,14 +119,12 @@ def _read_state(work: Path) -> tuple[int, int]:
     return int(state["rounds"]), int(state["frames"])
 
 
-def _round(settings: WatchSettings, number: int) -> Path:
-    folders = [_prepare(settings, run) for run in runs(settings.pulled) if frame_count(run) > 0]
-    labels = [folder / "labels.npz" for folder in folders]
-    coarse = [folder / "coarse" for folder in folders]
-    frames = read_frames([folder / "run" for folder in folders], coarse, [], None, labels, settings.every)
-    pairs, validation = find_pairs(frames, None, PairRule())
+def _round(watched: Watch, number: int) -> Path:
+    settings = watched.settings
+    dataset = open_dataset([watched.store], every=settings.every, checked=watched.checked)
+    pairs, validation = find_pairs(dataset, None, PairRule())
     training = settings.work / "training"
-    trainer = Trainer(frames, pairs, _training(settings), settings.device)
+    trainer = Trainer(dataset.frames, pairs, _training(settings), settings.device)
     steps = (number + 1) * settings.steps
     with Progress(trainer, validation, steps, training, settings.steps // VALIDATIONS) as progress:
         checkpoint = train(trainer, steps, training, on_step=progress)
@@ -139,7 +133,7 @@ def _round(settings: WatchSettings, number: int) -> Path:
     network = settings.work / "models" / f"model_{number:04d}.onnx"
     network.parent.mkdir(exist_ok=True)
     export_checkpoint(checkpoint, None, network)
-    _log(f"round {number}: {len(frames)} frames, {steps} steps in total: {network}")
+    _log(f"round {number}: {len(dataset.frames)} frames, {steps} steps in total: {network}")
     return network
 
 
@@ -162,37 +156,6 @@ def _initial(settings: WatchSettings) -> str | None:
         write_atomically(SHIPPED.read_bytes(), folder / SHIPPED.name)
         kept = [folder / SHIPPED.name]
     return str(kept[0]) if kept else None
-
-
-def _prepare(settings: WatchSettings, run: Path) -> Path:
-    """Links a run's present segments and computes their coarse depth and labels, again whenever the run has grown."""
-    folder = settings.work / "runs" / "_".join(run.relative_to(settings.pulled).parts or ("run",))
-    files = segments(run)
-    present = [f"{file.name} {file.stat().st_size}" for file in files]
-    known = folder / "segments.json"
-    if known.exists() and json.loads(known.read_text()) == present:
-        return folder
-    shutil.rmtree(folder, ignore_errors=True)
-    # Segments that arrive meanwhile belong to the next round.
-    (folder / "run").mkdir(parents=True)
-    for file in files:
-        (folder / "run" / file.name).symlink_to(file.resolve())
-    command = [str(settings.robot), "perceive", "--recording", str(folder / "run")]
-    _call([*command, "--out", str(folder / "look"), "--dump", str(folder / "coarse")], folder / "perceive.log")
-    write_labels(read_frames([folder / "run"], [folder / "coarse"], [], None), folder / "labels.npz")
-    # Written last, so that an interrupted preparation is repeated.
-    write_atomically(json.dumps(present).encode(), known)
-    return folder
-
-
-def _call(command: Sequence[str], log: Path) -> None:
-    with log.open("wb") as stream:
-        try:
-            done = subprocess.run(command, stdout=stream, stderr=stream, check=False)
-        except OSError as problem:
-            raise TrainerError(f"cannot run {command[0]}: {problem}; give --firmware-host FILE") from problem
-    if done.returncode != 0:
-        raise TrainerError(f"`{shlex.join(command)}` failed; {log} ends with\n{last_lines(log)}")
 
 
 def _hand_over(settings: WatchSettings, network: Path) -> None:

@@ -1,4 +1,4 @@
-"""Converts frames in memory into the tensors of one training step."""
+"""Converts frames into the tensors of one training step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.frame_set import FrameSet, Planes
 
 # Confidence is stored in 16 bits.
 FULL_CONFIDENCE = 65535.0
@@ -25,26 +25,26 @@ NO_COARSE_PROBABILITY = 0.15
 HOLE_PROBABILITY = 0.35
 
 
-def rgb_planes(frames: Frames, index: NDArray[np.int64], device: torch.device | str = "cpu") -> Tensor:
+def rgb_planes(frames: FrameSet, index: NDArray[np.int64], device: torch.device | str = "cpu") -> Tensor:
     """RGB images [B, 3, H, W] in 0..1."""
     raw = torch.from_numpy(frames.rgb[index]).to(device)
     return raw.permute(0, 3, 1, 2).to(torch.float32, memory_format=torch.contiguous_format) / 255.0
 
 
-def depth_planes(planes: NDArray[np.uint16], index: NDArray[np.int64], device: torch.device | str = "cpu") -> Tensor:
+def depth_planes(planes: Planes[np.uint16], index: NDArray[np.int64], device: torch.device | str = "cpu") -> Tensor:
     """z-depth in metres (0: none) and confidence in 0..1, [B, 2, h, w]."""
     raw = torch.from_numpy(planes[index].astype(np.float32)).to(device)
     return raw / torch.tensor([1000.0, FULL_CONFIDENCE], device=device).view(1, 2, 1, 1)
 
 
-def lidar_lines(lines: NDArray[np.uint16], index: NDArray[np.int64], device: torch.device | str = "cpu") -> Tensor:
+def lidar_lines(lines: Planes[np.uint16], index: NDArray[np.int64], device: torch.device | str = "cpu") -> Tensor:
     """Row and z-depth in metres (0: none), [B, 2, W]."""
     raw = torch.from_numpy(lines[index].astype(np.float32)).to(device)
     return raw * torch.tensor([1.0, 0.001], device=device).view(1, 2, 1)
 
 
 def coarse_planes(
-    frames: Frames, index: NDArray[np.int64], depth_range_m: tuple[float, float], device: torch.device | str = "cpu"
+    frames: FrameSet, index: NDArray[np.int64], depth_range_m: tuple[float, float], device: torch.device | str = "cpu"
 ) -> Tensor:
     """The network's coarse input [B, 3, H, W]: disparity in 0..1 over the depth range, validity and confidence,
     computed as the robot's runtime does."""
@@ -139,7 +139,7 @@ class Batch:
 
 
 def make_batch(
-    frames: Frames,
+    frames: FrameSet,
     targets: NDArray[np.int64],
     sources: NDArray[np.int64],
     depth_range_m: tuple[float, float],

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.frame_set import FrameSet
 from embodied_depth_trainer.data.pairs import Pairs
 from embodied_depth_trainer.errors import TrainerError
 
@@ -18,7 +18,7 @@ BIN_M = 0.5
 BIN_DIRECTION = 0.52
 
 
-def select(frames: Frames, pairs: Pairs, size: int, keep: Keep, seed: int) -> Pairs:
+def select(frames: FrameSet, pairs: Pairs, size: int, keep: Keep, seed: int) -> Pairs:
     """Keeps at most `size` targets: the `newest`, as the paper's queue does, or equally many at random from every bin
     of `poses`, so that places seen long ago or rarely are not forgotten."""
     if size < 1:
@@ -32,7 +32,7 @@ def select(frames: Frames, pairs: Pairs, size: int, keep: Keep, seed: int) -> Pa
     return Pairs(pairs.targets[chosen], [pairs.earlier[i] for i in chosen], [pairs.later[i] for i in chosen])
 
 
-def pose_bins(frames: Frames) -> NDArray[np.int64]:
+def pose_bins(frames: FrameSet) -> NDArray[np.int64]:
     """Index of the pose bin of every frame [N]."""
     place = np.floor(frames.t_world_camera[:, :3, 3] / BIN_M)
     direction = np.round(frames.t_world_camera[:, :3, 2] / BIN_DIRECTION)

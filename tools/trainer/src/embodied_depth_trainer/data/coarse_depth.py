@@ -41,20 +41,34 @@ def _planes(folder: Path, camera: Intrinsics, entry: dict[str, Any]) -> NDArray[
     return planes
 
 
+class CoarseDump:
+    """The coarse depth of a recording; frames are matched by their times."""
+
+    def __init__(self, folder: Path, frames: Frames) -> None:
+        """Opens the folder that was dumped from the recording of these frames."""
+        self.folder = folder
+        self.camera, entries = _index(folder)
+        if self.camera != frames.camera:
+            raise TrainerError(
+                f"{folder} was made with {self.camera}, the recording with {frames.camera}; dump it again"
+            )
+        self.by_time = {int(entry["time_ns"]): entry for entry in entries}
+        missing = [int(time) for time in frames.time_ns if int(time) not in self.by_time]
+        if missing:
+            raise TrainerError(
+                f"{folder} lacks {len(missing)} of {len(frames)} frames, the first at {missing[0]} ns; "
+                "dump this recording again"
+            )
+
+    def added_to(self, frames: Frames) -> Frames:
+        """Frames of the recording with their coarse depth."""
+        planes = [_planes(self.folder, self.camera, self.by_time[int(time)]) for time in frames.time_ns]
+        return replace(frames, coarse=np.stack(planes))
+
+
 def with_coarse(frames: Frames, folder: Path) -> Frames:
-    """Adds the coarse depth dumped from the same recording; frames are matched by their times."""
-    camera, entries = _index(folder)
-    if camera != frames.camera:
-        raise TrainerError(f"{folder} was made with {camera}, the recording with {frames.camera}; dump it again")
-    by_time = {int(entry["time_ns"]): entry for entry in entries}
-    missing = [int(time) for time in frames.time_ns if int(time) not in by_time]
-    if missing:
-        raise TrainerError(
-            f"{folder} lacks {len(missing)} of {len(frames)} frames, the first at {missing[0]} ns; "
-            "dump this recording again"
-        )
-    planes = [_planes(folder, camera, by_time[int(time)]) for time in frames.time_ns]
-    return replace(frames, coarse=np.stack(planes))
+    """Adds the coarse depth dumped from the same recording."""
+    return CoarseDump(folder, frames).added_to(frames)
 
 
 def read_dataset_dump(folder: Path) -> Frames:

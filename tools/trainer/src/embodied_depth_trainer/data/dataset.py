@@ -1,4 +1,4 @@
-"""Reads recordings and dataset dumps as one set of frames, and finds the pairs to train on."""
+"""Reads recordings and dataset dumps into memory, as studies and evaluations need them, and finds pairs in them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 from embodied_depth_trainer.data.coarse_depth import read_dataset_dump, with_coarse
 from embodied_depth_trainer.data.frames import Frames, join
 from embodied_depth_trainer.data.held_out import only_held_out, without_held_out
-from embodied_depth_trainer.data.labels import with_labels
 from embodied_depth_trainer.data.pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
 from embodied_depth_trainer.data.past_frames import PastFrames, with_past_coarse
 from embodied_depth_trainer.data.recording import read_recording
@@ -21,13 +20,11 @@ def read_frames(
     coarse: Sequence[Path],
     datasets: Sequence[Path],
     size: tuple[int, int] | None,
-    label_files: Sequence[Path] = (),
     every: int = 1,
-    lidar: bool = False,
     past: PastFrames | None = None,
 ) -> Frames:
-    """Reads runs and dataset dumps as one set: every `every`th frame, reduced to `size` rows x columns, with `lidar`
-    also the LiDAR's hits, with `past` with coarse depth from past frames instead of the robot's own."""
+    """Reads runs with their dumped coarse depth, and dataset dumps, as one set: every `every`th frame, reduced to
+    `size` rows x columns, with `past` with coarse depth from past frames instead of the robot's own."""
     if past is not None and coarse:
         raise TrainerError("coarse depth comes either from past frames or from --coarse; give one of the two")
 
@@ -42,19 +39,13 @@ def read_frames(
         raise TrainerError(
             f"{len(coarse)} --coarse for {len(recordings)} --recording; give one for each, in the same order, or none"
         )
-    if label_files and len(label_files) != len(recordings):
-        raise TrainerError(
-            f"{len(label_files)} --labels for {len(recordings)} --recording; give one for each, in the same order"
-        )
     parts = []
     for place, path in enumerate(recordings):
-        frames, damage = read_recording(path, lidar)
+        frames, damage = read_recording(path)
         if damage.segments:
             print(f"{path}: {damage}", file=sys.stderr)
         if coarse:
             frames = with_coarse(frames, coarse[place])
-        if label_files:
-            frames = with_labels(frames, label_files[place])
         parts.append(ready(frames, every))
     for folder in datasets:
         parts.append(ready(read_dataset_dump(folder), 1))

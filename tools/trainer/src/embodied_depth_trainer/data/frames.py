@@ -69,8 +69,12 @@ class Frames:
 
     def every(self, step: int) -> Frames:
         """Every `step`th frame."""
+        return self.at(slice(None, None, step))
+
+    def at(self, chosen: slice) -> Frames:
+        """The chosen frames."""
         arrays = {key: value for key, value in vars(self).items() if isinstance(value, np.ndarray)}
-        return Frames(self.camera, **{key: value[::step] for key, value in arrays.items()})
+        return Frames(self.camera, **{key: value[chosen] for key, value in arrays.items()})
 
     def reduced(self, factor: int) -> Frames:
         """Images by the mean, depths by the most confident (coarse) or the first (truth) pixel of each block: the mean

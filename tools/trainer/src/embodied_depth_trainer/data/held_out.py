@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.frame_set import FrameSet
 from embodied_depth_trainer.data.pairs import Pairs
 from embodied_depth_trainer.errors import TrainerError
 
@@ -44,7 +44,7 @@ def _mixed(state: int) -> int:
     return z ^ (z >> 31)
 
 
-def without_held_out(frames: Frames, pairs: Pairs) -> Pairs:
+def without_held_out(frames: FrameSet, pairs: Pairs) -> Pairs:
     """The pairs of which neither target nor source is held out."""
     held: NDArray[np.bool_] | None = frames.held_out
     if held is None or not held.any():
@@ -63,7 +63,7 @@ def without_held_out(frames: Frames, pairs: Pairs) -> Pairs:
     return Pairs(pairs.targets[kept], [earlier[index] for index in kept], [later[index] for index in kept])
 
 
-def only_held_out(frames: Frames, pairs: Pairs, limit: int) -> Pairs:
+def only_held_out(frames: FrameSet, pairs: Pairs, limit: int) -> Pairs:
     """The pairs whose target is held out, for validation: at most `limit`, evenly spread over all. Empty if no frame is
     held out. Sources may be any frame."""
     held = frames.held_out

@@ -8,17 +8,15 @@ on the spot.
 
 from __future__ import annotations
 
-import io
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from embodied_depth_trainer.data.frames import Frames, Intrinsics
+from embodied_depth_trainer.data.frame_set import FrameSet
+from embodied_depth_trainer.data.frames import Intrinsics
 from embodied_depth_trainer.data.pairs import PairRule, grid_rays, overlap
 from embodied_depth_trainer.errors import TrainerError
-from embodied_depth_trainer.files import write_atomically
 
 # Side of a label's cell in pixels, which is that of the robot's coarse depth.
 CELL = 4
@@ -53,42 +51,21 @@ class _Points:
     """[P]."""
 
 
-def labels(frames: Frames) -> NDArray[np.uint16]:
-    """[N, 2, H / CELL, W / CELL]: z-depth in millimetres (0: none) and confidence times 65535 of each cell's middle."""
+def labels(
+    frames: FrameSet, targets: NDArray[np.int64] | None = None, voters: NDArray[np.int64] | None = None
+) -> NDArray[np.uint16]:
+    """[T, 2, H / CELL, W / CELL]: z-depth in millimetres (0: none) and confidence times 65535 of each cell's middle,
+    for the frames at `targets` (all, if it is not given). The frames at `voters` vote, by default every `EVERY`th."""
     if frames.coarse is None:
-        raise TrainerError("labels are computed from coarse depth; give one --coarse for each --recording")
-    camera = frames.camera
-    rays = _cell_rays(camera)
-    points = {index: _points(frames, index, rays, MIN_CONFIDENCE) for index in range(0, len(frames), EVERY)}
-    return np.stack([_label(frames, target, points, rays) for target in range(len(frames))])
-
-
-def write_labels(frames: Frames, file: Path) -> float:
-    """Writes the file that `with_labels` reads, and returns the share of cells that have a label."""
-    return save_labels(frames, labels(frames), file)
-
-
-def save_labels(frames: Frames, planes: NDArray[np.uint16], file: Path) -> float:
-    """Writes labels [N, 2, h, w] of the frames, and returns the share of cells that have one."""
-    stream = io.BytesIO()
-    np.savez_compressed(stream, time_ns=frames.time_ns, planes=planes)
-    write_atomically(stream.getvalue(), file)
-    return float((planes[:, 0] > 0).mean())
-
-
-def with_labels(frames: Frames, file: Path) -> Frames:
-    """Adds the labels of the same recording; frames are matched by their times."""
-    try:
-        with np.load(file, allow_pickle=False) as loaded:
-            times = loaded["time_ns"]
-            planes = loaded["planes"]
-    except FileNotFoundError:
-        raise TrainerError(f"{file} does not exist; write it with `embodied-depth label`") from None
-    except (ValueError, KeyError, OSError) as problem:
-        raise TrainerError(f"{file} holds no labels ({problem}); write it again with `embodied-depth label`") from None
-    if not np.isin(frames.time_ns, times).all():
-        raise TrainerError(f"{file} lacks frames of the recording; write it again from this recording")
-    return replace(frames, labels=planes[np.searchsorted(times, frames.time_ns)])
+        raise TrainerError("labels are computed from coarse depth; prepare the recordings with it")
+    chosen = np.arange(len(frames)) if targets is None else targets
+    voting = np.arange(0, len(frames), EVERY) if voters is None else voters
+    if not len(chosen):
+        return np.empty((0, 2, frames.camera.height // CELL, frames.camera.width // CELL), np.uint16)
+    near = voting[(voting >= chosen.min() - MAX_GAP) & (voting <= chosen.max() + MAX_GAP)]
+    rays = _cell_rays(frames.camera)
+    points = {index: _points(frames, index, rays, MIN_CONFIDENCE) for index in near.tolist()}
+    return np.stack([_label(frames, target, points, rays) for target in chosen.tolist()])
 
 
 def _cell_rays(camera: Intrinsics) -> NDArray[np.float64]:
@@ -100,7 +77,7 @@ def _cell_rays(camera: Intrinsics) -> NDArray[np.float64]:
     return np.stack([x, y, np.ones(x.size)], axis=1)
 
 
-def _points(frames: Frames, index: int, rays: NDArray[np.float64], least: float) -> _Points:
+def _points(frames: FrameSet, index: int, rays: NDArray[np.float64], least: float) -> _Points:
     depth_m, confidence = _cells(frames, index)
     chosen = (depth_m > 0) & (confidence >= least)
     pose = frames.t_world_camera[index]
@@ -108,7 +85,7 @@ def _points(frames: Frames, index: int, rays: NDArray[np.float64], least: float)
     return _Points(in_camera @ pose[:3, :3].T + pose[:3, 3], confidence[chosen])
 
 
-def _cells(frames: Frames, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _cells(frames: FrameSet, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Depth in metres and confidence of the cells of one frame, [cells] each."""
     assert frames.coarse is not None
     middle = CELL // 2
@@ -116,7 +93,7 @@ def _cells(frames: Frames, index: int) -> tuple[NDArray[np.float64], NDArray[np.
     return depth / 1000, confidence / 65535
 
 
-def _voters(frames: Frames, target: int, places: NDArray[np.int64]) -> NDArray[np.int64]:
+def _voters(frames: FrameSet, target: int, places: NDArray[np.int64]) -> NDArray[np.int64]:
     """Those of the frames at `places` that overlap with the target."""
     poses = frames.t_world_camera
     near: NDArray[np.int64] = places[(np.abs(places - target) <= MAX_GAP) & (places != target)]
@@ -129,7 +106,7 @@ def _voters(frames: Frames, target: int, places: NDArray[np.int64]) -> NDArray[n
     return chosen
 
 
-def _label(frames: Frames, target: int, points: dict[int, _Points], rays: NDArray[np.float64]) -> NDArray[np.uint16]:
+def _label(frames: FrameSet, target: int, points: dict[int, _Points], rays: NDArray[np.float64]) -> NDArray[np.uint16]:
     camera = frames.camera
     rows = camera.height // CELL
     columns = camera.width // CELL
@@ -149,7 +126,7 @@ def _label(frames: Frames, target: int, points: dict[int, _Points], rays: NDArra
 
 
 def _votes(
-    frames: Frames, target: int, voters: list[_Points]
+    frames: FrameSet, target: int, voters: list[_Points]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Cell, ln z-depth and weight of each point that projects into the target's image."""
     if not voters:

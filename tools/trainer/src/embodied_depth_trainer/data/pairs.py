@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from embodied_depth_trainer.data.frames import Frames, Intrinsics
+from embodied_depth_trainer.data.frame_set import FrameSet
+from embodied_depth_trainer.data.frames import Intrinsics
 from embodied_depth_trainer.errors import TrainerError
 
 # Gap of the sources in frames, in simulation and on the real robot (Embodied Depth Prediction, Liu et al.).
@@ -67,29 +68,30 @@ class Pairs:
         return self.targets[chosen], sources
 
 
-def pairs_by_baseline(frames: Frames, rule: PairRule) -> Pairs:
+def pairs_by_baseline(frames: FrameSet, rule: PairRule) -> Pairs:
     """All pairs whose baseline and overlap satisfy the rule. Standing still and rotating on the spot give none."""
+    whole = range(len(frames))
+    found = [sources_of(frames, target, whole, rule) for target in whole]
+    return _pairs(found, "move more, or allow shorter baselines")
+
+
+def sources_of(frames: FrameSet, target: int, among: range, rule: PairRule) -> NDArray[np.int64]:
+    """The sources of a frame among consecutive frames, in their order."""
     poses = frames.t_world_camera
-    run = frames.run
-    rays = grid_rays(frames.camera)
-
-    def sources(target: int) -> NDArray[np.int64]:
-        first = max(0, target - rule.max_gap)
-        end = min(len(frames), target + rule.max_gap + 1)
-        window: NDArray[np.int64] = np.arange(first, end)
-        window = window[run[window] == run[target]]
-        baseline = np.linalg.norm(poses[window, :3, 3] - poses[target, :3, 3], axis=1)
-        window = window[(baseline >= rule.min_baseline_m) & (baseline <= rule.max_baseline_m)]
-        if not len(window):
-            return window
-        seen = overlap(poses[window], poses[target], frames.camera, rays * rule.assumed_depth_m)
-        window = window[seen >= rule.min_overlap]
+    first = max(among.start, target - rule.max_gap)
+    end = min(among.stop, target + rule.max_gap + 1)
+    window: NDArray[np.int64] = np.arange(first, end)
+    window = window[frames.run[window] == frames.run[target]]
+    baseline = np.linalg.norm(poses[window, :3, 3] - poses[target, :3, 3], axis=1)
+    window = window[(baseline >= rule.min_baseline_m) & (baseline <= rule.max_baseline_m)]
+    if not len(window):
         return window
+    points = grid_rays(frames.camera) * rule.assumed_depth_m
+    window = window[overlap(poses[window], poses[target], frames.camera, points) >= rule.min_overlap]
+    return window
 
-    return _pairs([sources(target) for target in range(len(frames))], "move more, or allow shorter baselines")
 
-
-def pairs_by_gap(frames: Frames, gap: int) -> Pairs:
+def pairs_by_gap(frames: FrameSet, gap: int) -> Pairs:
     """The paper's pairs: the frames `gap` before and after, at any distance. Only pairs without motion (less than 1
     mm), whose depth has no gradient, are left out."""
     position = frames.t_world_camera[:, :3, 3]
@@ -132,9 +134,14 @@ def grid_rays(camera: Intrinsics) -> NDArray[np.float64]:
 
 
 def _pairs(sources: Sequence[NDArray[np.int64]], advice: str) -> Pairs:
+    """The pairs of all frames that have a source."""
     targets = np.array([target for target, found in enumerate(sources) if len(found)], np.int64)
     if not len(targets):
         raise TrainerError(f"none of {len(sources)} frames has a source with enough baseline and overlap; {advice}")
-    earlier = [sources[target][sources[target] < target] for target in targets]
-    later = [sources[target][sources[target] > target] for target in targets]
-    return Pairs(targets, earlier, later)
+    return by_side(targets, [sources[target] for target in targets])
+
+
+def by_side(targets: NDArray[np.int64], sources: Sequence[NDArray[np.int64]]) -> Pairs:
+    """The pairs of these targets with their sources, which are divided into earlier and later ones."""
+    both = list(zip(targets.tolist(), sources, strict=True))
+    return Pairs(targets, [found[found < at] for at, found in both], [found[found > at] for at, found in both])

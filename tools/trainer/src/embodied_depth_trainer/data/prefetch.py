@@ -1,4 +1,4 @@
-"""Prepares the next batch in a thread while the current one is trained on."""
+"""Prepares the next batches in threads while the current one is trained on."""
 
 from __future__ import annotations
 
@@ -13,21 +13,28 @@ Item = TypeVar("Item")
 
 
 class Prefetcher(Generic[Item]):
-    """Calls `make` for steps 0, 1, 2, ... one step ahead, in its own thread. `make` must depend on nothing but the
-    step, so that jumping back or ahead gives the same result."""
+    """Calls `make` for steps 0, 1, 2, ..., as many steps ahead as there are `readers`, each in its own thread. `make`
+    must depend on nothing but the step, so that jumping back or ahead, and any number of readers, gives the same
+    result."""
 
-    def __init__(self, make: Callable[[int], Item]) -> None:
+    def __init__(self, make: Callable[[int], Item], readers: int = 1) -> None:
         self._make = make
+        self._readers = readers
         # One PyTorch thread is enough for this small work; more would spin while they wait for each other.
-        self._thread = ThreadPoolExecutor(1, "prefetch", initializer=torch.set_num_threads, initargs=(1,))
-        self._ahead: tuple[int, Future[Item]] | None = None
+        self._threads = ThreadPoolExecutor(readers, "prefetch", initializer=torch.set_num_threads, initargs=(1,))
+        self._ahead: dict[int, Future[Item]] = {}
         self.waited_s = 0.0
         """Total time that callers waited for a batch."""
 
     def __call__(self, step: int) -> Item:
         start = time.perf_counter()
-        ahead = self._ahead if self._ahead and self._ahead[0] == step else (step, self._thread.submit(self._make, step))
-        item = ahead[1].result()
-        self._ahead = step + 1, self._thread.submit(self._make, step + 1)
+        # After a jump, the batches of other steps are not needed.
+        kept = {ahead: future for ahead, future in self._ahead.items() if step <= ahead <= step + self._readers}
+        found = kept.pop(step, None) or self._threads.submit(self._make, step)
+        item = found.result()
+        for ahead in range(step + 1, step + 1 + self._readers):
+            if ahead not in kept:
+                kept[ahead] = self._threads.submit(self._make, ahead)
+        self._ahead = kept
         self.waited_s += time.perf_counter() - start
         return item

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -84,10 +85,10 @@ def segments(path: Path) -> list[Path]:
     return sorted(found, key=lambda file: (len(file.name), file.name))
 
 
-def read_recording(path: Path, lidar: bool = False) -> tuple[Frames, Damage]:
-    """All frames of a run with their localized poses, `t_odom_camera`; with `lidar`, also the LiDAR's hits."""
+def read_recording(path: Path) -> tuple[Frames, Damage]:
+    """All frames of a run with their localized poses, `t_odom_camera`."""
     damage = Damage()
-    reader = _Run(lidar)
+    reader = _Run(lidar=False)
     for file in segments(path):
         try:
             reader.read(file)
@@ -96,11 +97,39 @@ def read_recording(path: Path, lidar: bool = False) -> tuple[Frames, Damage]:
     return reader.frames(path, damage), damage
 
 
+@dataclass(frozen=True)
+class Segment:
+    """One segment, which can be read without the others of its run."""
+
+    frames: Frames
+    """With localized poses, `t_odom_camera`, and the LiDAR's hits."""
+    header: dict[str, Any]
+    """The segment's first message."""
+    events: dict[str, int]
+    """How often each kind of event occurred."""
+    damage: str | None
+    """What ends it before its end."""
+
+
+def read_segment(file: Path) -> Segment:
+    """All frames of one segment."""
+    damage = Damage()
+    reader = _Run(lidar=True)
+    try:
+        reader.read(file)
+    except _BrokenError as problem:
+        damage.segments[file.name] = str(problem)
+    frames = reader.frames(file, damage)
+    return Segment(frames, reader.header, dict(reader.events), damage.segments.get(file.name))
+
+
 class _Run:
     """The part of a run that has been read."""
 
     def __init__(self, lidar: bool) -> None:
         self.camera: Intrinsics | None = None
+        self.header: dict[str, Any] = {}
+        self.events: Counter[str] = Counter()
         self.topics = {IMAGE, TRUTH, SCAN} if lidar else {IMAGE, TRUTH}
         self.t_camera_base: NDArray[np.floating[Any]] = np.eye(4)
         self.t_base_laser: NDArray[np.float64] = np.eye(4)
@@ -127,7 +156,9 @@ class _Run:
             if channel.topic == TICK:
                 tick = json.loads(message.data)
             elif channel.topic == DECISION and tick is not None:
-                self._localize(file, tick, json.loads(message.data), t_base_camera)
+                decision = json.loads(message.data)
+                self.events.update(event["event"] for event in decision.get("events", []))
+                self._localize(file, tick, decision, t_base_camera)
             elif channel.topic in self.topics and tick is not None:
                 where = f"{file}: tick {tick['tick']}"
                 decode = decoder.decoder_for(channel.message_encoding, schema)
@@ -186,6 +217,7 @@ class _Run:
                 "put each run into its own directory"
             )
         self.camera = found
+        self.header = header
         t_base_camera = _rigid(header["run"]["t_base_camera"])
         if SCAN in self.topics:
             self.t_camera_base = np.linalg.inv(t_base_camera)
@@ -219,11 +251,6 @@ class _Run:
         truth = np.stack(self.truth) if len(self.truth) == count else None
         times = np.array(self.times, np.int64)
         lidar = np.stack(self.lines) if SCAN in self.topics else None
-        if lidar is not None and not lidar.any():
-            raise TrainerError(
-                f"{path} has no LiDAR scan within {MAX_APART_NS // 1_000_000} ms of one of its {count} frames; "
-                "train on it without --lidar-weight"
-            )
         run = np.zeros(count, np.int32)
         held_out = np.array(self.held_out, np.bool_)
         rgb = np.stack(self.rgb)

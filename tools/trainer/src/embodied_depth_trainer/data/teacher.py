@@ -8,7 +8,6 @@ confidence there is the share of the frame's labels that it agrees with.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,7 +21,7 @@ from torch.nn import functional as F
 
 from embodied_depth_trainer.data.alignment import align
 from embodied_depth_trainer.data.batches import FULL_CONFIDENCE
-from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.frame_set import FrameSet
 from embodied_depth_trainer.data.labels import CELL, FARTHEST_M, NEAREST_M
 from embodied_depth_trainer.errors import TrainerError
 
@@ -130,21 +129,17 @@ class Teacher:
         return torch.from_numpy(plane.astype(np.float32))[None, None]
 
 
-def teach(
-    frames: Frames, planes: NDArray[np.uint16], teacher: Teacher, on_frame: Callable[[], object] | None = None
-) -> tuple[NDArray[np.uint16], Taught]:
-    """Adds the teacher's depth to labels [N, 2, h, w] where they have none; existing labels stay."""
-    taught = planes.copy()
+def teach(frames: FrameSet, targets: NDArray[np.int64], planes: NDArray[np.uint16], teacher: Teacher) -> Taught:
+    """Adds the teacher's depth to the labels [T, 2, h, w] of the frames at `targets` where they have none; existing
+    labels stay."""
+    before = float((planes[:, 0] > 0).mean())
     shares = []
-    for index in range(len(frames)):
-        share = _teach_frame(taught[index], teacher.inverse_depth(frames.rgb[index]))
+    for target, labels in zip(targets.tolist(), planes, strict=True):
+        share = _teach_frame(labels, teacher.inverse_depth(frames.rgb[target]))
         if share is not None:
             shares.append(share)
-        if on_frame is not None:
-            on_frame()
     agreeing = float(np.mean(shares)) if shares else 0.0
-    before, after = (float((labels[:, 0] > 0).mean()) for labels in (planes, taught))
-    return taught, Taught(len(shares), agreeing, before, after)
+    return Taught(len(shares), agreeing, before, float((planes[:, 0] > 0).mean()))
 
 
 def _teach_frame(planes: NDArray[np.uint16], x: NDArray[np.float64]) -> float | None:

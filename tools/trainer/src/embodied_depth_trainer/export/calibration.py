@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
 from embodied_depth_trainer.data.batches import coarse_planes, depth_planes, rgb_planes, to_depth
-from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.frame_set import FrameSet
 from embodied_depth_trainer.data.labels import CELL
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
@@ -50,10 +50,10 @@ class Counts:
     wrong: NDArray[np.float64]
 
 
-def observe(model: Path, frames: Frames) -> Counts:
+def observe(model: Path, frames: FrameSet) -> Counts:
     """Runs `model` on frames with labels, one at a time because the model's batch is 1."""
     if frames.labels is None or frames.coarse is None:
-        raise TrainerError("calibration needs coarse depth and labels; give --coarse and --labels")
+        raise TrainerError("calibration needs coarse depth and labels; prepare the recordings with both")
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     metadata = session.get_modelmeta().custom_metadata_map
     range_m = (float(metadata["min_depth_m"]), float(metadata["max_depth_m"]))
@@ -123,7 +123,7 @@ def apply(model: Path, calibration: Calibration, frames: int, out: Path) -> None
     write_atomically(graph_of.SerializeToString(), out)
 
 
-def calibrate(model: Path, frames: Frames, out: Path) -> tuple[Calibration, Counts]:
+def calibrate(model: Path, frames: FrameSet, out: Path) -> tuple[Calibration, Counts]:
     """Fits the calibration on `frames` of homes that the weights were not trained on; writes the calibrated model."""
     counts = observe(model, frames)
     calibration = fit(counts)

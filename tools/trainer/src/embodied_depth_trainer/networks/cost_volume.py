@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.frame_set import FrameSet
 from embodied_depth_trainer.data.projection import Projector, bilinear_sample
 
 REDUCTION = 4
@@ -35,7 +35,7 @@ def plane_depths(planes: int, range_m: tuple[float, float]) -> Tensor:
     return 1 / torch.linspace(1 / far, 1 / near, planes)
 
 
-def references(frames: Frames, targets: NDArray[np.int64]) -> NDArray[np.int64]:
+def references(frames: FrameSet, targets: NDArray[np.int64]) -> NDArray[np.int64]:
     """Earlier frames that each target is matched with [B, 2], -1 where there are fewer: those whose baseline is
     closest to 15 cm."""
     found = np.full((len(targets), REFERENCES), -1, np.int64)
@@ -83,7 +83,7 @@ def cost_volume(
 
 @torch.no_grad()
 def volume_planes(
-    frames: Frames,
+    frames: FrameSet,
     targets: NDArray[np.int64],
     depths_m: Tensor,
     device: torch.device | str = "cpu",

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from embodied_depth_trainer.data.batches import coarse_planes
-from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.frame_set import FrameSet
 from embodied_depth_trainer.networks.cost_volume import volume_planes
 from embodied_depth_trainer.networks.manydepth import ManyDepth
 from embodied_depth_trainer.networks.runtime import OnnxNetwork
@@ -16,7 +16,7 @@ from embodied_depth_trainer.networks.runtime import OnnxNetwork
 
 def second_input(
     network: nn.Module,
-    frames: Frames,
+    frames: FrameSet,
     index: NDArray[np.int64],
     depth_range_m: tuple[float, float],
     device: torch.device | str = "cpu",

@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.frame_set import FrameSet
 from embodied_depth_trainer.data.past_frames import GAP
 from embodied_depth_trainer.losses.reprojection import LossOptions
 from embodied_depth_trainer.training.initial import identity
@@ -62,7 +62,7 @@ class Settings:
             return self.learning_rate
         return self.learning_rate * 0.5 * (1 + math.cos(math.pi * share))
 
-    def as_dict(self, frames: Frames) -> dict[str, Any]:
+    def as_dict(self, frames: FrameSet) -> dict[str, Any]:
         """In plain types and with the camera, as checkpoints store it."""
         plain = asdict(self)
         plain["depth_range_m"] = list(self.depth_range_m)

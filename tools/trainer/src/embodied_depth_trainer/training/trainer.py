@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from embodied_depth_trainer import processes
 from embodied_depth_trainer.data.batches import Batch, coarse_dropout_mask, make_batch, to_depth
-from embodied_depth_trainer.data.frames import Frames
+from embodied_depth_trainer.data.frame_set import FrameSet
 from embodied_depth_trainer.data.pairs import Pairs
 from embodied_depth_trainer.data.prefetch import Prefetcher
 from embodied_depth_trainer.data.projection import Projector
@@ -64,7 +64,14 @@ class NotFiniteError(TrainerError):
 class Trainer:
     """The network, the optimiser and the frames, and one step of training."""
 
-    def __init__(self, frames: Frames, pairs: Pairs, settings: Settings, device: torch.device | str = "cpu") -> None:
+    def __init__(
+        self,
+        frames: FrameSet,
+        pairs: Pairs,
+        settings: Settings,
+        device: torch.device | str = "cpu",
+        readers: int = 1,
+    ) -> None:
         height = frames.camera.height
         width = frames.camera.width
         if height % SIZE_STEP or width % SIZE_STEP:
@@ -89,7 +96,7 @@ class Trainer:
             )
         if settings.lidar_weight > 0 and frames.lidar is None:
             raise TrainerError(
-                "--lidar-weight needs LiDAR scans, which only recordings have; give --recording instead of --dataset"
+                "--lidar-weight needs LiDAR scans, which only recordings have; give --store instead of --dataset"
             )
         self.frames = frames
         self.pairs = pairs
@@ -106,8 +113,8 @@ class Trainer:
         self.network = processes.share_batch_norms(network)
         if takes_coarse(self.network) and frames.coarse is None:
             raise TrainerError(
-                f"`{settings.network}` takes coarse depth; write it with `firmware-host perceive --recording RUN "
-                "--out DIR --dump DIR/coarse` and give --coarse DIR/coarse, or train `monodepth2_r18`"
+                f"`{settings.network}` takes coarse depth, which these frames lack; prepare the recordings without "
+                "--coarse none, or train `monodepth2_r18`"
             )
         if settings.lidar_weight > 0 and (isinstance(self.network, ManyDepth) or settings.loss.both_ways):
             raise TrainerError(
@@ -120,7 +127,7 @@ class Trainer:
         self.parts: dict[str, Tensor] = {}
         if settings.init is not None and is_exported(settings.init):
             self._restore_statistics()
-        self.batches = Prefetcher(self.batch)
+        self.batches = Prefetcher(self.batch, readers)
 
     def resume(self, saved: Checkpoint, file: Path) -> None:
         """Continues from a checkpoint of the same settings."""

@@ -83,7 +83,7 @@ class Verdict:
         if self.is_nothing:
             return (
                 f"NOTHING IS LEARNT: {said}, and {self.initial - self.least:.4f} would count; "
-                "give other frames, more of them, --labels, more --steps, or another --learning-rate"
+                "give other frames, more of them, labels, more --steps, or another --learning-rate"
             )
         return (
             f"it is not certain that anything is learnt: {said}, a difference up to {self.noise:.4f} can be chance; "

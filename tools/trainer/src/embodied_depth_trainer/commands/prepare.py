@@ -1,0 +1,124 @@
+"""`embodied-depth prepare`: makes of recorded segments what trainings read."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import sys
+from pathlib import Path
+
+from embodied_depth_trainer.commands.arguments import add_firmware_host, image_size
+from embodied_depth_trainer.data.past_frames import GAP, PastFrames
+from embodied_depth_trainer.data.teacher import MEAN, MULTIPLE, STD, Teacher, TeacherOptions
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.store.prepare import Tools, prepare, prune, remove_damaged
+from embodied_depth_trainer.store.recipe import Coarse, Recipe, engine_of
+from embodied_depth_trainer.store.store import Store
+from embodied_depth_trainer.studies.robot import find_firmware_host
+
+
+def add_prepare(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "source", type=Path, nargs="+", help="--out directory of a run, or a directory that holds runs at any depth"
+    )
+    command.add_argument("--out", type=Path, required=True, help="the store: a directory to make or to complete")
+    command.add_argument("--workers", type=int, default=1, help="number of processes [1]")
+    command.add_argument("--size", type=image_size, help="reduce the images to rows x columns [as recorded]")
+    command.add_argument(
+        "--coarse",
+        choices=("robot", "none"),
+        default="robot",
+        help="coarse depth by the robot's own engine, or none, for networks without it [robot]",
+    )
+    command.add_argument(
+        "--past-frames",
+        type=int,
+        choices=(1, 2),
+        help="compute coarse depth from this many past frames instead, as the paper does",
+    )
+    command.add_argument("--past-gap", type=int, default=GAP, help=f"frames between two past frames [{GAP}]")
+    command.add_argument("--no-labels", action="store_true", help="compute no labels")
+    command.add_argument(
+        "--check", action="store_true", help="first compare all digests, and make what is damaged again"
+    )
+    command.add_argument(
+        "--prune", action="store_true", help="afterwards, remove shards and labels that are not used any more"
+    )
+    add_firmware_host(command)
+    _add_teacher(command)
+
+
+def _add_teacher(command: argparse.ArgumentParser) -> None:
+    teacher = command.add_argument_group("teacher", "a monocular depth network for cells without a label")
+    teacher.add_argument("--teacher", type=Path, metavar="FILE", help="ONNX file with one image as input [none]")
+    teacher.add_argument(
+        "--teacher-output",
+        choices=("inverse", "depth"),
+        default="inverse",
+        help="what it returns: inverse depth as Depth Anything and MiDaS, or depth as metric networks do [inverse]",
+    )
+    teacher.add_argument(
+        "--teacher-size",
+        type=image_size,
+        help="rows x columns of its input [those of the file, else those of the images, rounded up]",
+    )
+    teacher.add_argument(
+        "--teacher-multiple", type=int, default=MULTIPLE, help=f"its sizes are multiples of this [{MULTIPLE}]"
+    )
+    for name, default in (("mean", MEAN), ("std", STD)):
+        teacher.add_argument(
+            f"--teacher-{name}",
+            type=float,
+            nargs=3,
+            default=default,
+            metavar=("R", "G", "B"),
+            help=f"normalisation of its input, colours in 0..1 [{' '.join(map(str, default))}, as ImageNet]",
+        )
+
+
+def tools_of(options: argparse.Namespace) -> Tools:
+    """The recipe that the options ask for, and what it needs."""
+    past = PastFrames(options.past_frames, options.past_gap) if options.past_frames else None
+    coarse: Coarse = "past frames" if past is not None else options.coarse
+    robot = find_firmware_host(options.firmware_host) if coarse == "robot" else None
+    has_labels = coarse != "none" and not options.no_labels
+    teacher_options = _teacher_options(options) if options.teacher is not None else None
+    digest = None
+    if teacher_options is not None:
+        if not has_labels:
+            raise TrainerError("--teacher adds to labels, and none are computed; omit --no-labels and --coarse none")
+        # A file that cannot be used is reported before anything is computed.
+        Teacher(options.teacher, teacher_options)
+        digest = hashlib.sha256(options.teacher.read_bytes()).hexdigest()
+    recipe = Recipe(
+        coarse, engine_of(robot) if robot else None, past, options.size, has_labels, digest, teacher_options
+    )
+    return Tools(recipe, robot, options.teacher, teacher_options, options.workers)
+
+
+def _teacher_options(options: argparse.Namespace) -> TeacherOptions:
+    return TeacherOptions(
+        options.teacher_output,
+        options.teacher_size,
+        options.teacher_multiple,
+        tuple(options.teacher_mean),
+        tuple(options.teacher_std),
+    )
+
+
+def run_prepare(options: argparse.Namespace) -> None:
+    tools = tools_of(options)
+    store = Store.create(options.out, tools.recipe)
+    for problem in remove_damaged(store) if options.check else ():
+        print(f"made again: {problem}", file=sys.stderr)
+    report = prepare(options.source, store, tools)
+    for file, why in report.damaged.items():
+        print(f"{file}: {why}", file=sys.stderr)
+    print(
+        f"{options.out}: {store.frames} frames; {report.segments} segments were new, "
+        f"{report.labelled} have new labels, {len(report.damaged)} of the new ones are damaged"
+    )
+    if options.prune:
+        print(f"{prune(store)} unused shards, labels and pairs were removed")
+    if store.frames == 0:
+        raise TrainerError(f"no frame was found in {', '.join(map(str, options.source))}; record a run first")

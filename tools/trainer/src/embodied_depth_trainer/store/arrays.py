@@ -1,0 +1,196 @@
+"""A folder of NumPy arrays with their digests, which appears completely or not at all.
+
+`np.load(FOLDER / "rgb.npy", mmap_mode="r")` maps an array, `sha256sum -c SHA256SUMS` checks all of them. The trainer
+copies single rows by `pread` instead of a map: a map of a file that is cut meanwhile ends the process (SIGBUS), and
+every page that was touched counts as the process's own memory. The kernel's page cache keeps what is used often.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Generic, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodied_depth_trainer.errors import TrainerError
+
+META_FILE = "meta.json"
+SUMS_FILE = "SHA256SUMS"
+Value = TypeVar("Value", bound=np.generic)
+
+
+class DamagedError(TrainerError):
+    """A folder is not what was written."""
+
+
+class FolderWriter:
+    """Writes a folder whose arrays have `count` rows each."""
+
+    def __init__(self, folder: Path, count: int) -> None:
+        self.folder = folder
+        self.count = count
+        # Two processes that make the same folder do not meet.
+        self.partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+        shutil.rmtree(self.partial, ignore_errors=True)
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            # Images of a home are private.
+            self.partial.mkdir(mode=0o700)
+        except OSError as problem:
+            raise self._unwritable(problem) from problem
+        self.digests: dict[str, Any] = {}
+        self.rows: dict[str, int] = {}
+
+    def append(self, name: str, rows: NDArray[Any]) -> None:
+        """Appends rows [n, ...] to an array."""
+        data = np.ascontiguousarray(rows)
+        file = f"{name}.npy"
+        begins = file not in self.digests
+        if begins:
+            self.digests[file] = hashlib.sha256()
+            self.rows[name] = 0
+        self.rows[name] += len(rows)
+        try:
+            with (self.partial / file).open("ab") as stream:
+                for part in (_header((self.count, *rows.shape[1:]), rows.dtype) if begins else b"", data.data):
+                    stream.write(part)
+                    self.digests[file].update(part)
+        except OSError as problem:
+            raise self._unwritable(problem) from problem
+
+    def finish(self, meta: dict[str, Any]) -> None:
+        """Writes what describes the arrays, and makes the folder appear."""
+        assert all(rows == self.count for rows in self.rows.values()), f"{self.rows} rows instead of {self.count}"
+        text = json.dumps(meta, indent=1, sort_keys=True).encode()
+        self.digests[META_FILE] = hashlib.sha256(text)
+        sums = "".join(f"{found.hexdigest()}  {name}\n" for name, found in sorted(self.digests.items()))
+        try:
+            (self.partial / META_FILE).write_bytes(text)
+            (self.partial / SUMS_FILE).write_text(sums)
+            for file in self.partial.iterdir():
+                with file.open("rb") as stream:
+                    os.fsync(stream.fileno())
+            self._appear()
+        except OSError as problem:
+            raise self._unwritable(problem) from problem
+
+    def abandon(self) -> None:
+        """Removes what has been written."""
+        shutil.rmtree(self.partial, ignore_errors=True)
+
+    def _appear(self) -> None:
+        try:
+            self.partial.rename(self.folder)
+        except OSError:
+            # Another process was faster; equal names have equal contents.
+            if not (self.folder / SUMS_FILE).exists():
+                raise
+            self.abandon()
+
+    def _unwritable(self, problem: OSError) -> TrainerError:
+        self.abandon()
+        return TrainerError(f"cannot write {self.folder}: {problem}; free some space or give another --out")
+
+
+class StoredArray(Generic[Value]):
+    """Every `every`th row of one array on the disk. Each access opens the file, so any number of arrays costs no
+    file descriptor and no memory."""
+
+    def __init__(self, file: Path, shape: tuple[int, ...], kind: np.dtype[Value], offset: int, every: int = 1) -> None:
+        self.file = file
+        self.kind = kind
+        self.offset = offset
+        self.every = every
+        self.row_shape = shape[1:]
+        self.count = -(-shape[0] // every)
+        self.row_bytes = int(np.prod(self.row_shape)) * kind.itemsize
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self.count, *self.row_shape)
+
+    def __len__(self) -> int:
+        return self.count
+
+    @overload
+    def __getitem__(self, index: NDArray[np.int64], /) -> NDArray[Value]: ...
+
+    @overload
+    def __getitem__(self, index: int, /) -> NDArray[Value]: ...
+
+    def __getitem__(self, index: int | NDArray[np.int64], /) -> NDArray[Value]:
+        places = np.atleast_1d(np.asarray(index, np.int64)).tolist()
+        rows = np.empty((len(places), *self.row_shape), self.kind)
+        try:
+            with self.file.open("rb", buffering=0) as stream:
+                for row, place in zip(rows.reshape(len(places), -1), places, strict=True):
+                    begin = self.offset + place * self.every * self.row_bytes
+                    if os.preadv(stream.fileno(), [row.view(np.uint8).data], begin) != self.row_bytes:
+                        raise DamagedError(f"{self.file} ends before row {place}; prepare its segment again")
+        except OSError as problem:
+            raise TrainerError(f"cannot read {self.file}: {problem}; check the file and its permissions") from problem
+        return rows[0] if isinstance(index, int) else rows
+
+
+class ArrayFolder:
+    """A folder that `FolderWriter` wrote."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        try:
+            self.meta: dict[str, Any] = json.loads((folder / META_FILE).read_text())
+            self.sums = (folder / SUMS_FILE).read_text()
+        except (OSError, ValueError) as problem:
+            raise DamagedError(f"{folder} cannot be read: {problem}") from None
+
+    @property
+    def digest(self) -> str:
+        """The digest of all arrays."""
+        return hashlib.sha256(self.sums.encode()).hexdigest()
+
+    def array(self, name: str, kind: type[Value], every: int = 1) -> StoredArray[Value]:
+        """An array whose file is as long as its header says."""
+        file = self.folder / f"{name}.npy"
+        try:
+            with file.open("rb") as stream:
+                np.lib.format.read_magic(stream)
+                shape, _, found = np.lib.format.read_array_header_1_0(stream)
+                offset = stream.tell()
+                size = os.fstat(stream.fileno()).st_size
+        except (OSError, ValueError) as problem:
+            raise DamagedError(f"{file} cannot be read: {problem}") from None
+        expected = offset + int(np.prod(shape)) * found.itemsize
+        if found != np.dtype(kind) or size != expected:
+            raise DamagedError(f"{file} has {size} bytes of {found} instead of {expected} of {np.dtype(kind)}")
+        return StoredArray(file, shape, np.dtype(kind), offset, every)
+
+    def load(self, name: str, kind: type[Value], every: int = 1) -> NDArray[Value]:
+        """An array in memory."""
+        stored = self.array(name, kind)
+        values = np.fromfile(stored.file, stored.kind, offset=stored.offset)
+        return values.reshape(stored.shape)[::every]
+
+    def check(self) -> None:
+        """Compares every file with its digest."""
+        for line in self.sums.splitlines():
+            expected, name = line.split("  ", 1)
+            try:
+                with (self.folder / name).open("rb") as stream:
+                    found = hashlib.file_digest(stream, "sha256").hexdigest()
+            except OSError as problem:
+                raise DamagedError(f"{self.folder / name} cannot be read: {problem}") from None
+            if found != expected:
+                raise DamagedError(f"{self.folder / name} has the digest {found[:16]} instead of {expected[:16]}")
+
+
+def _header(shape: tuple[int, ...], kind: np.dtype[Any]) -> bytes:
+    stream = BytesIO()
+    described = {"descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(stream, described)
+    return stream.getvalue()

@@ -1,0 +1,78 @@
+"""The list of a run's segments and of the shards that were made of them.
+
+It is written again whenever a shard is added. Size and time of modification of a segment's file tell whether it has to
+be read again, as in the index of Git.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.files import write_atomically
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One segment."""
+
+    file: str
+    """Name of its file in the run's directory."""
+    bytes: int
+    modified_ns: int
+    digest: str
+    """SHA-256 of the file."""
+    shard: str | None = None
+    """Name of its shard; `None` if none could be made."""
+    frames: int = 0
+    damage: str | None = None
+    """What ends the segment before its end, or why there is no shard."""
+    labels: str | None = None
+    """Name of its labels."""
+
+    def is_of(self, file: Path) -> bool:
+        """Whether the file has not changed since."""
+        state = file.stat()
+        return (self.file, self.bytes, self.modified_ns) == (file.name, state.st_size, state.st_mtime_ns)
+
+
+@dataclass
+class Run:
+    """A run's directory and what has been made of it."""
+
+    source: str
+    """Its absolute path."""
+    entries: dict[str, Entry] = field(default_factory=dict)
+    """By the segments' file names."""
+
+    @staticmethod
+    def name_of(source: Path) -> str:
+        """The name of the run in the store: runs of several robots can have equal names."""
+        path = source.resolve()
+        return f"{path.name}-{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
+
+    @property
+    def shards(self) -> list[Entry]:
+        """The segments that have a shard, in their order: segment 10000 comes after segment 9999."""
+        found = sorted(self.entries.values(), key=lambda entry: (len(entry.file), entry.file))
+        return [entry for entry in found if entry.shard is not None]
+
+    def set_labels(self, entry: Entry, labels: str) -> None:
+        self.entries[entry.file] = replace(entry, labels=labels)
+
+
+def read_run(file: Path) -> Run:
+    try:
+        plain: dict[str, Any] = json.loads(file.read_text())
+        return Run(plain["source"], {entry["file"]: Entry(**entry) for entry in plain["segments"]})
+    except (OSError, ValueError, KeyError, TypeError) as problem:
+        raise TrainerError(f"{file} is no list of segments ({problem}); remove it and prepare the run again") from None
+
+
+def write_run(run: Run, file: Path) -> None:
+    plain = {"source": run.source, "segments": [asdict(entry) for entry in run.entries.values()]}
+    write_atomically(json.dumps(plain, indent=1).encode(), file)

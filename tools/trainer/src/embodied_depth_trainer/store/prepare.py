@@ -1,0 +1,156 @@
+"""Makes a store of recorded runs, or completes it: what exists already is neither read nor computed again."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+
+from embodied_depth_trainer.data.recording import segments
+from embodied_depth_trainer.data.teacher import TeacherOptions
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
+from embodied_depth_trainer.store.labels import LabelJob, halo, make_labels
+from embodied_depth_trainer.store.manifest import Entry, Run
+from embodied_depth_trainer.store.pool import Pool
+from embodied_depth_trainer.store.recipe import Recipe
+from embodied_depth_trainer.store.shards import ShardJob, make_shard
+from embodied_depth_trainer.store.store import Store
+
+
+@dataclass(frozen=True)
+class Tools:
+    """What the recipe needs besides the recordings."""
+
+    recipe: Recipe
+    robot: Path | None = None
+    """Path of firmware-host."""
+    teacher: Path | None = None
+    teacher_options: TeacherOptions | None = None
+    workers: int = 1
+    """Number of processes."""
+
+
+@dataclass
+class Report:
+    """What a call has done."""
+
+    segments: int = 0
+    """Number of segments whose shards were made or found."""
+    labelled: int = 0
+    """Number of shards whose labels were computed."""
+    damaged: dict[str, str] = field(default_factory=dict)
+    """Segments that end early or cannot be read, and why."""
+
+
+def prepare(sources: Sequence[Path], store: Store, tools: Tools, growing: bool = False) -> Report:
+    """Makes what is missing of all runs below the sources. While runs are `growing`, the last segment of each is left
+    for later until it is complete."""
+    report = Report()
+    runs = [run for source in sources for run in find_runs(source)]
+    with Pool(tools.workers) as pool:
+        _shards(runs, store, tools, growing, pool, report)
+        if tools.recipe.labels:
+            _labels(runs, store, tools, pool, report)
+    return report
+
+
+def remove_damaged(store: Store) -> list[str]:
+    """Removes shards and labels whose digests are not those that were written, so that they are made again; returns
+    what was wrong with each."""
+    found = []
+    for run in store.runs.values():
+        for entry in run.shards:
+            assert entry.shard is not None
+            folders = [store.shard(entry.shard)]
+            if entry.labels is not None:
+                folders.append(store.labels(entry.labels))
+            for folder in folders:
+                try:
+                    ArrayFolder(folder).check()
+                except DamagedError as problem:
+                    found.append(str(problem))
+                    shutil.rmtree(folder, ignore_errors=True)
+    return found
+
+
+def find_runs(source: Path) -> list[Path]:
+    """Directories that hold segments, in the order of their names."""
+    if not source.is_dir():
+        raise TrainerError(f"{source} is no directory; give the --out directory of a run, or one that holds runs")
+    return sorted({file.parent for file in source.rglob("recording_*.mcap")})
+
+
+def _shards(runs: Sequence[Path], store: Store, tools: Tools, growing: bool, pool: Pool, report: Report) -> None:
+    jobs = {}
+    for source in runs:
+        run = store.run_of(source)
+        for file in segments(source):
+            if not _is_prepared(file, run, store) and not (growing and _is_open(file, source)):
+                jobs[file] = ShardJob(file, store.folder / "shards", tools.recipe, tools.robot)
+    for file, entry in pool.each(make_shard, jobs, "segment"):
+        run = store.run_of(file.parent)
+        run.entries[entry.file] = entry
+        store.keep(file.parent)
+        report.segments += 1
+        if entry.damage is not None:
+            report.damaged[str(file)] = entry.damage
+
+
+def _is_prepared(file: Path, run: Run, store: Store) -> bool:
+    known = run.entries.get(file.name)
+    if known is None or not known.is_of(file):
+        return False
+    return known.shard is None or store.shard(known.shard).is_dir()
+
+
+def _is_open(file: Path, source: Path) -> bool:
+    """Whether the robot may still write this segment: it is the last of its run and has no index yet."""
+    if file != segments(source)[-1]:
+        return False
+    with file.open("rb") as stream:
+        try:
+            return make_reader(stream).get_summary() is None
+        except McapError:
+            return True
+
+
+def _labels(runs: Sequence[Path], store: Store, tools: Tools, pool: Pool, report: Report) -> None:
+    jobs = {}
+    for source in runs:
+        shards = store.run_of(source).shards
+        for place, entry in enumerate(shards):
+            job = _label_job(shards, place, store, tools)
+            if entry.labels != job.name or not store.labels(job.name).is_dir():
+                jobs[source, entry.file] = job
+    for (source, file), name in pool.each(make_labels, jobs, "label"):
+        run = store.run_of(source)
+        run.set_labels(run.entries[file], name)
+        store.keep(source)
+        report.labelled += 1
+
+
+def _label_job(shards: Sequence[Entry], place: int, store: Store, tools: Tools) -> LabelJob:
+    before, after = halo(shards, place)
+    own = shards[place]
+    assert own.shard is not None
+    folders = store.folder / "shards", store.folder / "labels"
+    return LabelJob(*folders, before, own.shard, after, own.labels, tools.teacher, tools.teacher_options)
+
+
+def prune(store: Store) -> int:
+    """Removes shards, labels and pairs that no list of segments names; returns their number."""
+    entries = [entry for run in store.runs.values() for entry in run.shards]
+    shards = {entry.shard for entry in entries}
+    labels = {entry.labels for entry in entries}
+    unused = [folder for folder in (store.folder / "shards").glob("*") if folder.name not in shards]
+    unused += [folder for folder in (store.folder / "labels").glob("*") if folder.name not in labels]
+    # A pair index is named by its shard and a key.
+    unused += [folder for folder in (store.folder / "pairs").glob("*") if folder.name.rpartition("-")[0] not in shards]
+    for folder in unused:
+        shutil.rmtree(folder, ignore_errors=True)
+    return len(unused)

@@ -1,0 +1,98 @@
+"""The folders of a store:
+
+    recipe.json          how everything in it was made
+    runs/RUN.json        the segments of a run and their shards
+    shards/NAME/         frames, coarse depth, poses, LiDAR lines, held-out marks of one segment
+    labels/NAME/         labels of its frames
+    pairs/NAME/          pairs of frames to train on
+
+Shards are named by the digests of their segment and of the recipe.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from embodied_depth_trainer.data.past_frames import PastFrames
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.files import write_atomically
+from embodied_depth_trainer.store.manifest import Run, read_run, write_run
+from embodied_depth_trainer.store.recipe import FORMAT_VERSION, Recipe
+
+RECIPE_FILE = "recipe.json"
+# Hexadecimal digits of digests in names: 64 bits of a segment's, 32 of the few recipes'.
+SEGMENT_DIGITS = 16
+RECIPE_DIGITS = 8
+
+
+class Store:
+    """A store that exists."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        try:
+            self.recipe = json.loads((folder / RECIPE_FILE).read_text())
+        except FileNotFoundError:
+            raise TrainerError(
+                f"{folder} is no store; make one with `embodied-depth prepare SOURCE --out {folder}`"
+            ) from None
+        if self.recipe.get("format_version") != FORMAT_VERSION:
+            raise TrainerError(
+                f"{folder} has format version {self.recipe.get('format_version')}, this trainer reads "
+                f"{FORMAT_VERSION}; prepare the recordings again into another folder"
+            )
+        self.runs = {file.stem: read_run(file) for file in sorted((folder / "runs").glob("*.json"))}
+
+    @staticmethod
+    def create(folder: Path, recipe: Recipe) -> Store:
+        """Opens the store of this recipe, or makes it."""
+        file = folder / RECIPE_FILE
+        if not file.exists():
+            write_atomically(json.dumps(recipe.plain(), indent=1, sort_keys=True).encode(), file)
+        store = Store(folder)
+        different = {key: value for key, value in store.recipe.items() if recipe.plain().get(key) != value}
+        if different:
+            wanted = {key: recipe.plain().get(key) for key in different}
+            raise TrainerError(
+                f"{folder} was made with {different}, now {wanted} is requested; give another --out, or the options "
+                "and the firmware-host that it was made with"
+            )
+        return store
+
+    @property
+    def frames(self) -> int:
+        """Number of frames in all shards."""
+        return sum(entry.frames for run in self.runs.values() for entry in run.shards)
+
+    def shard(self, name: str) -> Path:
+        return self.folder / "shards" / name
+
+    def labels(self, name: str) -> Path:
+        return self.folder / "labels" / name
+
+    def pairs(self, name: str) -> Path:
+        return self.folder / "pairs" / name
+
+    def run_of(self, source: Path) -> Run:
+        """The run of this directory; an empty one if it is new."""
+        return self.runs.setdefault(Run.name_of(source), Run(str(source.resolve())))
+
+    def keep(self, source: Path) -> None:
+        """Writes the list of a run's segments."""
+        name = Run.name_of(source)
+        write_run(self.runs[name], self.folder / "runs" / f"{name}.json")
+
+
+def shard_name(segment_digest: str, recipe_digest: str) -> str:
+    return f"{segment_digest[:SEGMENT_DIGITS]}-{recipe_digest[:RECIPE_DIGITS]}"
+
+
+def past_of(stores: Sequence[Store]) -> PastFrames | None:
+    """The past frames that the coarse depth of all stores comes from; `None` if it is the robot's own."""
+    found = {json.dumps(store.recipe["past"]) for store in stores}
+    if len(found) > 1:
+        raise TrainerError(f"the stores have coarse depth from different past frames, {found}; train on one of them")
+    past = stores[0].recipe["past"] if stores else None
+    return None if past is None else PastFrames(**past)

@@ -1,0 +1,62 @@
+"""The table of all segments says what is in a store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from embodied_depth_trainer.commands.cli import main
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, query
+from embodied_depth_trainer.store.prepare import Tools, prepare
+from embodied_depth_trainer.store.recipe import Recipe
+from embodied_depth_trainer.store.store import Store
+
+from ..rooms import room
+from ..stores import record, without_coarse
+
+pytest.importorskip("duckdb")
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    record(tmp_path / "runs/monday", room(40), [24, 16])
+    record(tmp_path / "runs/it's tuesday", room(30, seed=1), [30])
+    return without_coarse(tmp_path / "runs", tmp_path / "a store's folder")
+
+
+def test_every_segment_is_a_row(store: Store) -> None:
+    found = query(store, "SELECT folder, segment, frames FROM segments ORDER BY folder, segment")
+    assert found.columns == ["folder", "segment", "frames"]
+    rows = [(Path(folder).name, segment, frames) for folder, segment, frames in found.rows]
+    assert rows == [
+        ("it's tuesday", "recording_0000.mcap", 30),
+        ("monday", "recording_0000.mcap", 24),
+        ("monday", "recording_0001.mcap", 16),
+    ]
+    ((digests, held_out),) = query(store, "SELECT count(DISTINCT digest), sum(held_out) FROM segments").rows
+    assert (digests, held_out >= 0) == (3, True)
+
+
+def test_the_table_follows_the_store(store: Store, tmp_path: Path) -> None:
+    count = "SELECT count(*), sum(frames) FROM segments"
+    assert query(store, count).rows == [(3, 70)]
+    file = store.folder / CATALOGUE_FILE
+    before = file.stat().st_mtime_ns
+    assert query(store, count).rows == [(3, 70)]
+    assert file.stat().st_mtime_ns == before
+    record(tmp_path / "runs/wednesday", room(10, seed=2), [10])
+    prepare([tmp_path / "runs"], store, Tools(Recipe("none", labels=False)))
+    assert query(store, count).rows == [(4, 80)]
+
+
+def test_a_query_that_cannot_be_answered_names_the_columns(store: Store) -> None:
+    with pytest.raises(TrainerError, match=r"(?s)SELECT colour.*columns are folder, segment, began"):
+        query(store, "SELECT colour FROM segments")
+
+
+def test_the_command_prints_a_table(store: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    sql = "SELECT segment, damage, frames FROM segments WHERE frames > 25"
+    assert main(["catalogue", "query", "--store", str(store.folder), sql]) == 0
+    assert capsys.readouterr().out == "segment\tdamage\tframes\nrecording_0000.mcap\t\t30\n"
