@@ -8,11 +8,12 @@ use std::f64::consts::PI;
 
 use hal::{Pose2, Range, ScanGeometry};
 
-use super::log::{BadLine, Line, Log, Odometry, Words};
+use super::log::{BadLine, Line, Log, LogWheels, Odometry, Words};
 
 const HEADER: usize = 25;
 const BEAMS: usize = 682;
-const METRES_PER_COUNT: f64 = 0.077 * PI / 2000.0;
+const WHEEL_RADIUS_M: f64 = 0.077;
+const METRES_PER_COUNT: f64 = WHEEL_RADIUS_M * PI / 2000.0;
 const TRACK_M: f64 = 0.33;
 const LASER_FORWARD_M: f64 = 0.145;
 
@@ -68,7 +69,8 @@ pub(super) fn parse(text: &[u8]) -> Result<Option<Log>, BadLine> {
     }
     let t_base_laser = Pose2::new(LASER_FORWARD_M, 0.0, 0.0);
     let odometry = Odometry::Lines;
-    let log = Log { geometry: GEOMETRY, t_base_laser, odometry, lines, other_shape: 0 };
+    let wheels = Some(LogWheels { radius_m: WHEEL_RADIUS_M, track_m: TRACK_M });
+    let log = Log { geometry: GEOMETRY, t_base_laser, wheels, odometry, lines, other_shape: 0 };
     Ok((!log.lines.is_empty()).then_some(log))
 }
 

@@ -1,0 +1,423 @@
+//! The camera's mount, latency and focal length, from points that were followed between frames.
+//!
+//! The motion of `base_link` between two frames is known from wheels and scans. It moves the camera by `X^-1 M X`, where `X` is
+//! the camera's mount. A point at the ray `r` of the first frame appears in the second at the projection of `R r + rho t`; its
+//! inverse distance `rho` is unknown and is eliminated, as are small errors of the motion: the floor tilts the robot, and poses are
+//! not exact. The camera's height moves nothing in planar motion; `floor` finds it.
+
+use hal::{CameraModel, Pose2, Pose3};
+use nalgebra::{
+    DMatrix, DVector, Matrix3, Matrix5, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2,
+    Vector3, Vector5,
+};
+
+use super::base_path::BasePath;
+use super::floor::{LEAST_DOWN, LowPoint};
+use super::frames::{FramePair, Match};
+use super::least_squares::{Block, Estimate, Model, Prior, Weight, fit, tukey};
+
+/// Number of parameters, in this order: roll, pitch down, yaw (rad), x, y (m), scale of the focal length, latency (s).
+pub(super) const PARAMETERS: usize = 7;
+const NUISANCES: usize = 5;
+/// Steps of the numerical derivatives: small against the parameters' effects, large against rounding.
+const STEPS: [f64; PARAMETERS] = [1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4];
+const NUISANCE_STEP: f64 = 1e-6;
+/// Plausible deviations from the configuration.
+const PLAUSIBLE: [f64; PARAMETERS] = [0.2, 0.2, 0.2, 0.2, 0.2, 0.1, 0.2];
+/// Inverse distance of a point in a home: mean and standard deviation, 1/m.
+const INVERSE_DISTANCE: [f64; 2] = [0.4, 0.5];
+/// Errors of a known motion. Matched scans: 2 mm and a milliradian. The floor tilts a robot that drives; one that rotates on the
+/// spot keeps its tilt. 0.02 rad/m is what a floor according to DIN 18202 does over waves of a metre.
+const MOTION_M: f64 = 0.002;
+const MOTION_RAD: f64 = 0.001;
+const TILT_RAD: f64 = 0.0003;
+const TILT_RAD_PER_M: f64 = 0.02;
+/// No corner is followed better than this, pixels.
+const LEAST_SIGMA_PX: f64 = 0.02;
+/// Frames between which the camera moved less than this show no distances.
+const LEAST_PARALLAX_M: f64 = 0.06;
+/// Length of a block of time, seconds.
+const BLOCK_S: f64 = 4.0;
+/// Fewer pairs are no drive.
+const LEAST_PAIRS: usize = 30;
+
+/// The camera's parameters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct CameraParameters {
+    pub roll_rad: f64,
+    pub pitch_down_rad: f64,
+    pub yaw_rad: f64,
+    pub x_m: f64,
+    pub y_m: f64,
+    /// True focal length by the configured one.
+    pub focal: f64,
+    /// Time from the exposure of a frame to its stamp, on the wheels' clock, seconds.
+    pub latency_s: f64,
+}
+
+impl CameraParameters {
+    /// The configured mount; latency and focal length as stamped and configured.
+    pub fn configured(t_base_camera: &Pose3) -> Self {
+        let level = level();
+        let rotation = t_base_camera.rotation.to_rotation_matrix() * level.inverse();
+        let (roll_rad, pitch_down_rad, yaw_rad) = rotation.euler_angles();
+        Self {
+            roll_rad,
+            pitch_down_rad,
+            yaw_rad,
+            x_m: t_base_camera.translation.x,
+            y_m: t_base_camera.translation.y,
+            focal: 1.0,
+            latency_s: 0.0,
+        }
+    }
+
+    pub fn to_vector(self) -> DVector<f64> {
+        let Self { roll_rad, pitch_down_rad, yaw_rad, x_m, y_m, focal, latency_s } = self;
+        DVector::from_vec(vec![roll_rad, pitch_down_rad, yaw_rad, x_m, y_m, focal, latency_s])
+    }
+
+    pub fn from_vector(vector: &DVector<f64>) -> Self {
+        Self {
+            roll_rad: vector[0],
+            pitch_down_rad: vector[1],
+            yaw_rad: vector[2],
+            x_m: vector[3],
+            y_m: vector[4],
+            focal: vector[5],
+            latency_s: vector[6],
+        }
+    }
+
+    /// `t_base_camera`: roll about the robot's x axis first, then pitch about y, then yaw about z, as in URDF.
+    pub fn mount(&self, height_m: f64) -> Pose3 {
+        let turned = Rotation3::from_euler_angles(self.roll_rad, self.pitch_down_rad, self.yaw_rad);
+        let rotation = UnitQuaternion::from_rotation_matrix(&(turned * level()));
+        Pose3::from_parts(Translation3::new(self.x_m, self.y_m, height_m), rotation)
+    }
+}
+
+/// The optical axes x (right), y (down), z (forward) of a level camera, in `base_link`.
+fn level() -> Rotation3<f64> {
+    Rotation3::from_matrix_unchecked(Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0))
+}
+
+/// Robust standard deviation of a point's position after everything is fitted, pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct CameraResult<'a> {
+    pub estimate: &'a Estimate,
+    pub before_px: f64,
+    pub after_px: f64,
+    pub pairs: usize,
+}
+
+/// Why the camera was not measured.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub(super) enum CameraError {
+    #[error(
+        "the camera is not measured: points were followed between only {pairs} pairs of frames, but {LEAST_PAIRS} are needed; record a drive among textured things, in light"
+    )]
+    Pairs { pairs: usize },
+    #[error("the camera is not measured: frames and scans have no common solution")]
+    NoSolution,
+}
+
+/// Frames, the known path, and the present errors of the motion between each two frames.
+pub(super) struct CameraModelFit<'a> {
+    pub camera: CameraModel,
+    pub height_m: f64,
+    pub base: &'a BasePath<'a>,
+    pub pairs: &'a [FramePair],
+    nuisances: Vec<Vector5<f64>>,
+    /// Robust standard deviation of a point, pixels.
+    pub sigma_px: f64,
+}
+
+/// One point of a pair: residual and derivatives after its distance was eliminated.
+struct Observation {
+    residual: Vector2<f64>,
+    parameters: SMatrix<f64, 2, PARAMETERS>,
+    nuisances: SMatrix<f64, 2, NUISANCES>,
+}
+
+/// The motion of the camera between two frames, and its intrinsics.
+#[derive(Debug, Clone, Copy)]
+struct Motion {
+    t_to_from: Pose3,
+    focal: f64,
+}
+
+impl<'a> CameraModelFit<'a> {
+    pub fn new(
+        camera: CameraModel,
+        height_m: f64,
+        base: &'a BasePath<'a>,
+        pairs: &'a [FramePair],
+    ) -> Self {
+        let nuisances = vec![Vector5::zeros(); pairs.len()];
+        Self { camera, height_m, base, pairs, nuisances, sigma_px: 1.0 }
+    }
+
+    /// Fits the parameters.
+    ///
+    /// # Errors
+    /// Too few pairs of frames, or no solution.
+    pub fn estimate(&mut self, configured: &CameraParameters) -> Result<Estimate, CameraError> {
+        if self.pairs.len() < LEAST_PAIRS {
+            return Err(CameraError::Pairs { pairs: self.pairs.len() });
+        }
+        let mean = configured.to_vector();
+        let prior = Prior { mean: mean.clone(), sigma: DVector::from_row_slice(&PLAUSIBLE) };
+        fit(self, &prior, &mean).ok_or(CameraError::NoSolution)
+    }
+
+    /// The motion of `base_link` from the first frame of a pair to the second.
+    fn base_motion(&self, pair: &FramePair, latency_s: f64) -> Option<Pose2> {
+        let from = self.base.at(pair.from_s - latency_s)?;
+        let to = self.base.at(pair.to_s - latency_s)?;
+        Some(from.inverse().compose(&to))
+    }
+
+    fn motion(
+        &self,
+        pair: &FramePair,
+        at: &CameraParameters,
+        errors: &Vector5<f64>,
+    ) -> Option<Motion> {
+        let moved = self.base_motion(pair, at.latency_s)?;
+        let wrong = Pose3::from_parts(
+            Translation3::new(errors[3], errors[4], 0.0),
+            UnitQuaternion::from_scaled_axis(Vector3::new(errors[0], errors[1], errors[2])),
+        );
+        let t_base_camera = at.mount(self.height_m);
+        let t_from_to = t_base_camera.inverse() * moved.to_pose3() * wrong * t_base_camera;
+        Some(Motion { t_to_from: t_from_to.inverse(), focal: at.focal })
+    }
+
+    /// Standard deviations of the errors of a motion: rotations about x, y and z, and x and y.
+    fn motion_sigma(&self, pair: &FramePair, latency_s: f64) -> Option<Vector5<f64>> {
+        let moved = self.base_motion(pair, latency_s)?;
+        let tilt_rad = TILT_RAD + TILT_RAD_PER_M * moved.x_m.hypot(moved.y_m);
+        Some(Vector5::new(tilt_rad, tilt_rad, MOTION_RAD, MOTION_M, MOTION_M))
+    }
+
+    /// All points of a pair, linearised.
+    fn observe(&self, index: usize, at: &CameraParameters) -> Option<Vec<Observation>> {
+        let pair = &self.pairs[index];
+        let errors = self.nuisances[index];
+        let here = self.motion(pair, at, &errors)?;
+        let vector = at.to_vector();
+        let mut moved = Vec::with_capacity(PARAMETERS + NUISANCES);
+        for (parameter, step) in STEPS.into_iter().enumerate() {
+            let mut vector = vector.clone();
+            vector[parameter] += step;
+            moved.push(self.motion(pair, &CameraParameters::from_vector(&vector), &errors)?);
+        }
+        for nuisance in 0..NUISANCES {
+            let mut errors = errors;
+            errors[nuisance] += NUISANCE_STEP;
+            moved.push(self.motion(pair, at, &errors)?);
+        }
+        let observations = pair.matches.iter();
+        Some(observations.filter_map(|point| self.linearise_point(point, &here, &moved)).collect())
+    }
+
+    fn linearise_point(
+        &self,
+        point: &Match,
+        here: &Motion,
+        moved: &[Motion],
+    ) -> Option<Observation> {
+        let fitted = self.distance(point, here)?;
+        let mut observation = Observation {
+            residual: fitted.residual,
+            parameters: SMatrix::zeros(),
+            nuisances: SMatrix::zeros(),
+        };
+        for (index, motion) in moved.iter().enumerate() {
+            let residual = self.residual(point, motion, fitted.inverse_m)?;
+            let change = residual - fitted.residual;
+            // What a change of the distance undoes is no evidence.
+            let free = change - fitted.slope * (fitted.slope.dot(&change) / fitted.stiffness);
+            if index < PARAMETERS {
+                observation.parameters.set_column(index, &(free / STEPS[index]));
+            } else {
+                observation.nuisances.set_column(index - PARAMETERS, &(free / NUISANCE_STEP));
+            }
+        }
+        Some(observation)
+    }
+
+    /// The inverse distance with which a point fits best.
+    fn distance(&self, point: &Match, motion: &Motion) -> Option<Fitted> {
+        const STEP: f64 = 1e-5;
+        let [mean, spread] = INVERSE_DISTANCE;
+        let prior = (self.sigma_px / spread).powi(2);
+        let mut inverse_m = mean;
+        let mut fitted = None;
+        for _ in 0..4 {
+            let residual = self.residual(point, motion, inverse_m)?;
+            let slope = (self.residual(point, motion, inverse_m + STEP)? - residual) / STEP;
+            let stiffness = slope.norm_squared() + prior;
+            fitted = Some(Fitted { inverse_m, residual, slope, stiffness });
+            inverse_m -= (slope.dot(&residual) + prior * (inverse_m - mean)) / stiffness;
+        }
+        fitted
+    }
+
+    /// Expected less observed position in the second frame, pixels.
+    fn residual(&self, point: &Match, motion: &Motion, inverse_m: f64) -> Option<Vector2<f64>> {
+        let camera = CameraModel {
+            fx: self.camera.fx * motion.focal,
+            fy: self.camera.fy * motion.focal,
+            ..self.camera
+        };
+        let Motion { t_to_from, focal } = motion;
+        let rotated = t_to_from.rotation * self.ray(point.from, *focal);
+        let there = rotated + t_to_from.translation.vector * inverse_m;
+        let (u, v) = camera.project(&there.into())?;
+        Some(Vector2::new(u - point.to[0], v - point.to[1]))
+    }
+
+    /// A point's robust weight.
+    fn weight(&self, residual: &Vector2<f64>) -> Weight {
+        tukey(residual.norm() / self.sigma_px)
+    }
+
+    /// Takes one step towards the errors of a motion that fit best.
+    fn correct_motion(&mut self, index: usize, at: &CameraParameters) {
+        let Some(observations) = self.observe(index, at) else { return };
+        let Some(sigma) = self.motion_sigma(&self.pairs[index], at.latency_s) else { return };
+        let reduced = self.reduce(&observations, &self.nuisances[index], &sigma);
+        if let Some(inverse) = reduced.nuisance_hessian.try_inverse() {
+            self.nuisances[index] -= inverse * reduced.nuisance_gradient;
+        }
+    }
+
+    fn reduce(
+        &self,
+        observations: &[Observation],
+        errors: &Vector5<f64>,
+        sigma: &Vector5<f64>,
+    ) -> Reduced {
+        let prior = sigma.map(|sigma| 1.0 / (sigma * sigma));
+        let mut sums = Reduced {
+            hessian: SMatrix::zeros(),
+            mixed: SMatrix::zeros(),
+            gradient: SMatrix::zeros(),
+            nuisance_hessian: Matrix5::from_diagonal(&prior),
+            nuisance_gradient: prior.component_mul(errors),
+            weights: 0.0,
+            slopes: 0.0,
+        };
+        for observation in observations {
+            let Weight { weight, slope } = self.weight(&observation.residual);
+            let scaled = weight / (self.sigma_px * self.sigma_px);
+            let Observation { residual, parameters, nuisances } = observation;
+            sums.hessian += parameters.transpose() * parameters * scaled;
+            sums.mixed += parameters.transpose() * nuisances * scaled;
+            sums.gradient += parameters.transpose() * residual * scaled;
+            sums.nuisance_hessian += nuisances.transpose() * nuisances * scaled;
+            sums.nuisance_gradient += nuisances.transpose() * residual * scaled;
+            sums.weights += weight;
+            sums.slopes += slope;
+        }
+        sums
+    }
+
+    /// The points below the horizon with their distances, from pairs between which the robot drove.
+    pub fn low_points(&self, at: &CameraParameters) -> Vec<LowPoint> {
+        let rotation = at.mount(self.height_m).rotation;
+        let mut points = Vec::new();
+        for (pair, errors) in self.pairs.iter().zip(&self.nuisances) {
+            let Some(motion) = self.motion(pair, at, errors) else { continue };
+            if motion.t_to_from.translation.vector.norm() < LEAST_PARALLAX_M {
+                continue;
+            }
+            for point in &pair.matches {
+                let down = -(rotation * self.ray(point.from, at.focal)).z;
+                if down < LEAST_DOWN {
+                    continue;
+                }
+                let Some(fitted) = self.distance(point, &motion) else { continue };
+                if self.weight(&fitted.residual).weight > 0.0 {
+                    let sigma = self.sigma_px / fitted.stiffness.sqrt();
+                    let inverse_m = fitted.inverse_m;
+                    points.push(LowPoint { time_s: pair.to_s, down, inverse_m, sigma });
+                }
+            }
+        }
+        points
+    }
+
+    /// The direction behind a pixel, with z = 1.
+    fn ray(&self, pixel: [f64; 2], focal: f64) -> Vector3<f64> {
+        let ray = self.camera.ray(pixel[0], pixel[1]);
+        Vector3::new(ray.x / focal, ray.y / focal, 1.0)
+    }
+
+    /// Robust standard deviation of all points at these parameters, pixels.
+    pub fn spread_px(&self, at: &CameraParameters) -> f64 {
+        let mut residuals = Vec::new();
+        for index in 0..self.pairs.len() {
+            let Some(here) = self.motion(&self.pairs[index], at, &self.nuisances[index]) else {
+                continue;
+            };
+            for point in &self.pairs[index].matches {
+                residuals.extend(self.distance(point, &here).map(|fitted| fitted.residual.norm()));
+            }
+        }
+        super::least_squares::robust_sigma(&mut residuals).unwrap_or(LEAST_SIGMA_PX)
+    }
+}
+
+/// A point with its best distance.
+struct Fitted {
+    inverse_m: f64,
+    residual: Vector2<f64>,
+    /// Derivative of the residual by the inverse distance.
+    slope: Vector2<f64>,
+    stiffness: f64,
+}
+
+/// Normal equations of a pair.
+struct Reduced {
+    hessian: SMatrix<f64, PARAMETERS, PARAMETERS>,
+    mixed: SMatrix<f64, PARAMETERS, NUISANCES>,
+    gradient: SMatrix<f64, PARAMETERS, 1>,
+    nuisance_hessian: Matrix5<f64>,
+    nuisance_gradient: Vector5<f64>,
+    weights: f64,
+    slopes: f64,
+}
+
+impl Reduced {
+    /// Adds what is left for the parameters when the errors of the motion are free within their prior.
+    fn add_to(&self, block: &mut Block) {
+        let Some(inverse) = self.nuisance_hessian.try_inverse() else { return };
+        let hessian = self.hessian - self.mixed * inverse * self.mixed.transpose();
+        let gradient = self.gradient - self.mixed * inverse * self.nuisance_gradient;
+        block.hessian += DMatrix::from_column_slice(PARAMETERS, PARAMETERS, hessian.as_slice());
+        block.gradient += DVector::from_column_slice(gradient.as_slice());
+        block.weights += self.weights;
+        block.slopes += self.slopes;
+    }
+}
+
+impl Model for CameraModelFit<'_> {
+    fn linearise(&mut self, parameters: &DVector<f64>) -> Vec<Block> {
+        let at = CameraParameters::from_vector(parameters);
+        self.sigma_px = self.spread_px(&at).max(LEAST_SIGMA_PX);
+        let last_s = self.pairs.last().map_or(0.0, |pair| pair.to_s);
+        let mut blocks = vec![Block::empty(PARAMETERS); (last_s / BLOCK_S) as usize + 1];
+        for index in 0..self.pairs.len() {
+            self.correct_motion(index, &at);
+            let Some(observations) = self.observe(index, &at) else { continue };
+            let pair = &self.pairs[index];
+            let Some(sigma) = self.motion_sigma(pair, at.latency_s) else { continue };
+            let reduced = self.reduce(&observations, &self.nuisances[index], &sigma);
+            reduced.add_to(&mut blocks[(pair.to_s.max(0.0) / BLOCK_S) as usize]);
+        }
+        blocks
+    }
+}

@@ -1,0 +1,332 @@
+//! Wheels and scanner together: wheel radii, track, the scanner's place and its latency.
+//!
+//! The structure of Censi, Franchi, Marchionni and Oriolo 2013 ("Simultaneous calibration of odometry and sensor parameters for
+//! mobile robots"): over a span of the drive, the scanner's motion by matched scans must be that of the wheels, seen from where
+//! the scanner is mounted. Two differences: the latency is a parameter too, and the spans of the yaw are shorter than those of
+//! the translation, because noise of the wheels dominates the former and noise of the scans the latter. The translation takes
+//! its yaw from the scans, so that noise of the wheels' yaw does not enter it.
+
+use hal::{Pose2, wrap_angle};
+use nalgebra::DVector;
+
+use super::drive::{Configured, Drive};
+use super::least_squares::{Block, Estimate, Model, Prior, fit, robust_sigma};
+use super::scan_path::{ScanPose, laser_motion, match_scans};
+use super::wheels::{WheelGeometry, WheelPath};
+
+/// Number of parameters, in this order: radius left and right (share of the configured), track (m), the scanner's x, y (m) and
+/// yaw (rad), its latency (s).
+pub(super) const PARAMETERS: usize = 7;
+/// Steps of the numerical derivative.
+const STEPS: [f64; PARAMETERS] = [1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4];
+/// Plausible deviations from the configuration. What the drive says nothing about stays within them.
+const PLAUSIBLE: [f64; 2] = [0.2, 0.2];
+const PLAUSIBLE_TRACK: f64 = 0.3;
+const PLAUSIBLE_PLACE_M: f64 = 0.3;
+const PLAUSIBLE_YAW_RAD: f64 = 0.5;
+const PLAUSIBLE_LATENCY_S: f64 = 0.2;
+/// A span ends when the robot has driven or rotated this far, metres or radians. In short spans the latency shows; in long ones
+/// the noise of a match (some 2 mm) is small against the motion.
+const YAW_SPAN: f64 = 0.08;
+const TRANSLATION_SPAN: f64 = 0.3;
+/// A span that takes longer includes a stop, seconds. Spans of a robot that stands say nothing.
+const LONGEST_SPAN_S: f64 = 3.0;
+/// Length of a block of time, seconds: several times longer than what neighbouring matches have in common.
+const BLOCK_S: f64 = 4.0;
+/// Scans are matched anew with better starts this many times: a match is drawn a little to where it began.
+const ROUNDS: usize = 4;
+/// Fewer spans than this are no drive.
+const LEAST_SPANS: usize = 30;
+
+/// The parameters of wheels and scanner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct LaserParameters {
+    pub wheels: WheelGeometry,
+    pub t_base_laser: Pose2,
+    /// Time from the middle of a scan to its stamp, on the clock of the wheels' reports, seconds.
+    pub latency_s: f64,
+}
+
+impl LaserParameters {
+    /// What the robot was taken for.
+    pub fn configured(configured: &Configured) -> Self {
+        let wheels = WheelGeometry { scale: [1.0, 1.0], track_m: configured.track_m };
+        Self { wheels, t_base_laser: configured.t_base_laser, latency_s: 0.0 }
+    }
+
+    pub fn to_vector(self) -> DVector<f64> {
+        let Self { wheels, t_base_laser, latency_s } = self;
+        let Pose2 { x_m, y_m, yaw_rad } = t_base_laser;
+        let [left, right] = wheels.scale;
+        DVector::from_vec(vec![left, right, wheels.track_m, x_m, y_m, yaw_rad, latency_s])
+    }
+
+    pub fn from_vector(vector: &DVector<f64>) -> Self {
+        Self {
+            wheels: WheelGeometry { scale: [vector[0], vector[1]], track_m: vector[2] },
+            t_base_laser: Pose2::new(vector[3], vector[4], vector[5]),
+            latency_s: vector[6],
+        }
+    }
+}
+
+/// Two scans and the motion between them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Span {
+    from_s: f64,
+    to_s: f64,
+    /// Motion of the scanner in its own frame.
+    moved: Pose2,
+    /// Yaw of the motion, not wrapped.
+    yaw_rad: f64,
+    /// The robot rotated more than it drove: the wheels' noise is another one.
+    rotates: bool,
+}
+
+/// What is compared over a span.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Compared {
+    Yaw,
+    Translation,
+}
+
+/// Robust deviations between scans and wheels. What is left, and what it was with the configuration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Residuals {
+    /// Of the yaw over a short span, radians.
+    pub yaw_rad: f64,
+    /// Of the translation over a long span, metres.
+    pub translation_m: f64,
+}
+
+/// The result for wheels and scanner.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct LaserResult {
+    pub estimate: Estimate,
+    pub parameters: LaserParameters,
+    /// The scanner's path with which it was found.
+    pub path: Vec<ScanPose>,
+    pub before: Residuals,
+    pub after: Residuals,
+    /// Compared spans: of the yaw, and of the translation.
+    pub spans: [usize; 2],
+}
+
+/// Why there is no result.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LaserError {
+    #[error(transparent)]
+    Scanner(#[from] runtime::localization::LocalizationError),
+    #[error(
+        "only {spans} spans of the drive can be compared, but {LEAST_SPANS} are needed: the robot hardly moved, or its scans do not fit together; record a minute in which it drives and rotates among walls"
+    )]
+    Spans { spans: usize },
+    #[error(
+        "wheels and scans have no common solution; check that the wheels are not swapped or inverted (`firmware-host init --turn-wheels`)"
+    )]
+    NoSolution,
+}
+
+/// Estimates the parameters of wheels and scanner from a drive.
+///
+/// # Errors
+/// Too little motion, scans that do not fit together, or no solution.
+pub(super) fn estimate(drive: &Drive) -> Result<LaserResult, LaserError> {
+    let configured = LaserParameters::configured(&drive.configured);
+    let prior = prior(&configured);
+    let mut parameters = configured;
+    let mut last = None;
+    for _ in 0..ROUNDS {
+        let path = match_scans(drive, &parameters)?;
+        let mut spans = Spans::new(&drive.wheels, &path, &parameters);
+        let count = spans.yaw.len().min(spans.translation.len());
+        if count < LEAST_SPANS {
+            return Err(LaserError::Spans { spans: count });
+        }
+        let estimate =
+            fit(&mut spans, &prior, &parameters.to_vector()).ok_or(LaserError::NoSolution)?;
+        parameters = LaserParameters::from_vector(&estimate.parameters);
+        last = Some(LaserResult {
+            before: spans.residuals(&configured),
+            after: spans.residuals(&parameters),
+            spans: [spans.yaw.len(), spans.translation.len()],
+            estimate,
+            parameters,
+            path,
+        });
+    }
+    last.ok_or(LaserError::NoSolution)
+}
+
+fn prior(configured: &LaserParameters) -> Prior {
+    let [left, right] = PLAUSIBLE;
+    let track_m = PLAUSIBLE_TRACK * configured.wheels.track_m;
+    let place = PLAUSIBLE_PLACE_M;
+    let sigma = vec![left, right, track_m, place, place, PLAUSIBLE_YAW_RAD, PLAUSIBLE_LATENCY_S];
+    Prior { mean: configured.to_vector(), sigma: DVector::from_vec(sigma) }
+}
+
+/// The spans of a drive.
+struct Spans<'a> {
+    wheels: &'a WheelPath,
+    yaw: Vec<Span>,
+    translation: Vec<Span>,
+}
+
+impl<'a> Spans<'a> {
+    /// `parameters` only say where spans end and how the yaw is unwrapped.
+    fn new(wheels: &'a WheelPath, path: &[ScanPose], parameters: &LaserParameters) -> Self {
+        let cut = |length: f64| cut(wheels, path, parameters, length);
+        Self { wheels, yaw: cut(YAW_SPAN), translation: cut(TRANSLATION_SPAN) }
+    }
+
+    fn yaw_residual(&self, span: &Span, parameters: &LaserParameters) -> f64 {
+        let [from_s, to_s] = span.times_s(parameters);
+        self.wheels.motion(&parameters.wheels, from_s, to_s).yaw_rad - span.yaw_rad
+    }
+
+    fn translation_residual(&self, span: &Span, parameters: &LaserParameters) -> [f64; 2] {
+        let [from_s, to_s] = span.times_s(parameters);
+        let moved = self.wheels.motion_with_yaw(&parameters.wheels, from_s, to_s, span.yaw_rad);
+        let expected = laser_motion(&moved, &parameters.t_base_laser);
+        [expected.x_m - span.moved.x_m, expected.y_m - span.moved.y_m]
+    }
+
+    /// The residuals of a kind, one or two for each span.
+    fn all(&self, kind: Compared, rotates: bool, parameters: &LaserParameters) -> Vec<f64> {
+        match kind {
+            Compared::Yaw => self
+                .yaw
+                .iter()
+                .filter(|span| span.rotates == rotates)
+                .map(|span| self.yaw_residual(span, parameters))
+                .collect(),
+            Compared::Translation => self
+                .translation
+                .iter()
+                .filter(|span| span.rotates == rotates)
+                .flat_map(|span| self.translation_residual(span, parameters))
+                .collect(),
+        }
+    }
+
+    fn sigma(&self, kind: Compared, rotates: bool, parameters: &LaserParameters) -> f64 {
+        let least = match kind {
+            Compared::Yaw => LEAST_YAW_RAD,
+            Compared::Translation => LEAST_TRANSLATION_M,
+        };
+        robust_sigma(&mut self.all(kind, rotates, parameters)).unwrap_or(least).max(least)
+    }
+
+    fn residuals(&self, parameters: &LaserParameters) -> Residuals {
+        let both = |kind| {
+            let mut all = self.all(kind, false, parameters);
+            all.extend(self.all(kind, true, parameters));
+            robust_sigma(&mut all).unwrap_or(0.0)
+        };
+        Residuals { yaw_rad: both(Compared::Yaw), translation_m: both(Compared::Translation) }
+    }
+}
+
+/// No scanner matches better than this: a tenth of a millimetre and of a milliradian. It keeps weights finite.
+const LEAST_YAW_RAD: f64 = 1e-4;
+const LEAST_TRANSLATION_M: f64 = 1e-4;
+
+impl Span {
+    /// The times of both scans on the wheels' clock.
+    fn times_s(&self, parameters: &LaserParameters) -> [f64; 2] {
+        [self.from_s, self.to_s].map(|time_s| time_s - parameters.latency_s)
+    }
+}
+
+/// Cuts the path into spans of at least this way, metres or radians.
+fn cut(
+    wheels: &WheelPath,
+    path: &[ScanPose],
+    parameters: &LaserParameters,
+    length: f64,
+) -> Vec<Span> {
+    let mut spans = Vec::new();
+    let Some(mut from) = path.first() else { return spans };
+    let mut last = from;
+    let mut yaw_rad = 0.0;
+    for scan in &path[1..] {
+        let step_rad = wrap_angle(scan.pose.yaw_rad - last.pose.yaw_rad);
+        let is_broken = !scan.matched || scan.time_s - from.time_s > LONGEST_SPAN_S;
+        last = scan;
+        if is_broken {
+            from = scan;
+            yaw_rad = 0.0;
+            continue;
+        }
+        yaw_rad += step_rad;
+        let times_s = [from.time_s, scan.time_s].map(|time_s| time_s - parameters.latency_s);
+        let motion = wheels.motion(&parameters.wheels, times_s[0], times_s[1]);
+        if motion.distance_m + motion.rotation_rad < length {
+            continue;
+        }
+        spans.push(Span {
+            from_s: from.time_s,
+            to_s: scan.time_s,
+            moved: from.pose.inverse().compose(&scan.pose),
+            yaw_rad,
+            rotates: motion.rotation_rad > motion.distance_m,
+        });
+        from = scan;
+        yaw_rad = 0.0;
+    }
+    spans
+}
+
+impl Model for Spans<'_> {
+    fn linearise(&mut self, parameters: &DVector<f64>) -> Vec<Block> {
+        let at = LaserParameters::from_vector(parameters);
+        let last_s = self.yaw.iter().chain(&self.translation).map(|span| span.to_s);
+        let blocks = (last_s.fold(0.0, f64::max) / BLOCK_S) as usize + 1;
+        let mut blocks = vec![Block::empty(PARAMETERS); blocks];
+        let [slow, fast] = [false, true].map(|rotates| self.sigma(Compared::Yaw, rotates, &at));
+        for span in &self.yaw {
+            let sigma = if span.rotates { fast } else { slow };
+            let jacobian = derivative(parameters, |moved| [self.yaw_residual(span, moved)]);
+            let [residual] = [self.yaw_residual(span, &at)];
+            blocks[span.block()].add(&jacobian[0], residual, sigma);
+        }
+        let [slow, fast] =
+            [false, true].map(|rotates| self.sigma(Compared::Translation, rotates, &at));
+        for span in &self.translation {
+            let sigma = if span.rotates { fast } else { slow };
+            let jacobian = derivative(parameters, |moved| self.translation_residual(span, moved));
+            let residual = self.translation_residual(span, &at);
+            for (jacobian, residual) in jacobian.iter().zip(residual) {
+                blocks[span.block()].add(jacobian, residual, sigma);
+            }
+        }
+        blocks
+    }
+}
+
+impl Span {
+    fn block(&self) -> usize {
+        (self.to_s.max(0.0) / BLOCK_S) as usize
+    }
+}
+
+/// Central differences of residuals, one gradient for each.
+fn derivative<const N: usize>(
+    parameters: &DVector<f64>,
+    residual: impl Fn(&LaserParameters) -> [f64; N],
+) -> [DVector<f64>; N] {
+    let mut gradients = [(); N].map(|()| DVector::zeros(PARAMETERS));
+    for (index, step) in STEPS.into_iter().enumerate() {
+        let [more, less] = [step, -step].map(|change| {
+            let mut moved = parameters.clone();
+            moved[index] += change;
+            residual(&LaserParameters::from_vector(&moved))
+        });
+        for (gradient, (more, less)) in gradients.iter_mut().zip(more.iter().zip(less)) {
+            gradient[index] = (more - less) / (2.0 * step);
+        }
+    }
+    gradients
+}
