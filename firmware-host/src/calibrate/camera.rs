@@ -102,15 +102,6 @@ fn level() -> Rotation3<f64> {
     Rotation3::from_matrix_unchecked(Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0))
 }
 
-/// Robust standard deviation of a point's position after everything is fitted, pixels.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct CameraResult<'a> {
-    pub estimate: &'a Estimate,
-    pub before_px: f64,
-    pub after_px: f64,
-    pub pairs: usize,
-}
-
 /// Why the camera was not measured.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub(super) enum CameraError {
@@ -123,7 +114,7 @@ pub(super) enum CameraError {
 }
 
 /// Frames, the known path, and the present errors of the motion between each two frames.
-pub(super) struct CameraModelFit<'a> {
+pub(super) struct CameraFit<'a> {
     pub camera: CameraModel,
     pub height_m: f64,
     pub base: &'a BasePath<'a>,
@@ -147,7 +138,7 @@ struct Motion {
     focal: f64,
 }
 
-impl<'a> CameraModelFit<'a> {
+impl<'a> CameraFit<'a> {
     pub fn new(
         camera: CameraModel,
         height_m: f64,
@@ -404,7 +395,7 @@ impl Reduced {
     }
 }
 
-impl Model for CameraModelFit<'_> {
+impl Model for CameraFit<'_> {
     fn linearise(&mut self, parameters: &DVector<f64>) -> Vec<Block> {
         let at = CameraParameters::from_vector(parameters);
         self.sigma_px = self.spread_px(&at).max(LEAST_SIGMA_PX);

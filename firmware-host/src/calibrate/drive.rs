@@ -1,12 +1,13 @@
 //! A recorded drive, as far as calibration needs it: reports of the wheels, scans, and what was configured.
 
 use anyhow::{Result, bail};
-use hal::{LaserScan, Pose2, ScanGeometry};
+use hal::{CameraModel, LaserScan, Pose2, Pose3, ScanGeometry};
+use runtime::recording::RecordedTick;
 
 use crate::config::Config;
 use crate::localize::log::Log;
-use crate::recorded::Recorded;
 
+use super::frames::{FrameMatcher, FramePair};
 use super::wheels::WheelPath;
 
 /// The track that is assumed for a log that does not say it, metres. Only the ratio to it is found then.
@@ -30,11 +31,11 @@ pub(super) struct TimedScan {
 
 /// Wheels and scans of a drive. Times are seconds since its first report.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Drive {
-    pub configured: Configured,
-    pub geometry: ScanGeometry,
-    pub wheels: WheelPath,
-    pub scans: Vec<TimedScan>,
+pub struct Drive {
+    pub(super) configured: Configured,
+    pub(super) geometry: ScanGeometry,
+    pub(super) wheels: WheelPath,
+    pub(super) scans: Vec<TimedScan>,
 }
 
 impl Drive {
@@ -64,62 +65,104 @@ impl Drive {
         }
         drive
     }
+}
 
-    /// Reads the wheels and scans of a recorded run. `on_tick` sees every tick with its time in seconds.
+/// Takes the ticks of a drive one after the other.
+pub struct DriveReader {
+    configured: Configured,
+    clock: Clock,
+    wheels: WheelPath,
+    scans: Vec<TimedScan>,
+    frames: Option<FrameMatcher>,
+    camera: CameraModel,
+    t_base_camera: Pose3,
+}
+
+impl DriveReader {
+    /// A reader for the ticks of a robot that was configured like this. Without `with_frames`, frames are left out.
     ///
     /// # Errors
-    /// A run that cannot be read, or that has no scans.
-    pub fn of_run(recording: &Recorded, frames: &mut impl FrameUser) -> Result<Self> {
-        let header = recording.run();
-        let config: Config = serde_json::from_value(header.config.clone()).map_err(|error| {
-            anyhow::anyhow!(
-                "the recording's configuration cannot be read ({error}); record with this version"
-            )
-        })?;
+    /// A camera that is too small for optical flow.
+    pub fn new(
+        config: &Config,
+        camera: CameraModel,
+        mounts: Mounts,
+        with_frames: bool,
+    ) -> Result<Self> {
         let base = &config.devices.base;
-        let configured = Configured {
-            wheel_radius_m: base.wheel_radius_m,
-            track_m: base.track_m,
-            t_base_laser: in_the_plane(&header.t_base_laser),
-        };
-        let mut clock = Clock::default();
-        let mut wheels = WheelPath::default();
-        let mut scans: Vec<TimedScan> = Vec::new();
-        for tick in recording.ticks() {
-            let tick = tick?;
-            let time_s = clock.seconds(tick.wheel.time_ns);
-            if let Some(scan) = tick.scan {
-                let middle_s = clock.seconds(scan.middle_ns());
-                // Where the pose at the scan was not known, that of the tick stands in its place.
-                if middle_s < time_s && tick.scan_odom != tick.wheel.odom {
-                    wheels.push(middle_s, &tick.scan_odom, base.track_m);
-                }
-                if scans.last().is_none_or(|last| middle_s > last.time_s) {
-                    scans.push(TimedScan { time_s: middle_s, scan });
-                }
+        let Mounts { t_base_laser, t_base_camera } = mounts;
+        Ok(Self {
+            configured: Configured {
+                wheel_radius_m: base.wheel_radius_m,
+                track_m: base.track_m,
+                t_base_laser: in_the_plane(&t_base_laser),
+            },
+            clock: Clock::default(),
+            wheels: WheelPath::default(),
+            scans: Vec::new(),
+            frames: if with_frames { Some(FrameMatcher::new(&camera)?) } else { None },
+            camera,
+            t_base_camera,
+        })
+    }
+
+    /// Takes one tick.
+    ///
+    /// # Errors
+    /// A frame of another size than the camera's.
+    pub fn see(&mut self, tick: RecordedTick) -> Result<()> {
+        let track_m = self.configured.track_m;
+        let time_s = self.clock.seconds(tick.wheel.time_ns);
+        if let Some(scan) = tick.scan {
+            let middle_s = self.clock.seconds(scan.middle_ns());
+            // Where the pose at the scan was not known, that of the tick stands in its place.
+            if middle_s < time_s && tick.scan_odom != tick.wheel.odom {
+                self.wheels.push(middle_s, &tick.scan_odom, track_m);
             }
-            wheels.push(time_s, &tick.wheel.odom, base.track_m);
-            if let Some(frame) = &tick.frame {
-                frames.see(time_s, &tick.wheel.odom, frame)?;
+            if self.scans.last().is_none_or(|last| middle_s > last.time_s) {
+                self.scans.push(TimedScan { time_s: middle_s, scan });
             }
         }
-        let Some(first) = scans.first() else {
-            bail!("the recording has no scans, but wheels and mounts are measured against them");
+        self.wheels.push(time_s, &tick.wheel.odom, track_m);
+        if let (Some(frame), Some(frames)) = (&tick.frame, &mut self.frames) {
+            frames.see(time_s, &tick.wheel.odom, frame)?;
+        }
+        Ok(())
+    }
+
+    /// The drive up to now, and its camera.
+    ///
+    /// # Errors
+    /// A drive without scans.
+    pub fn finish(self) -> Result<(Drive, Option<CameraDrive>)> {
+        let Some(first) = self.scans.first() else {
+            bail!("the drive has no scans, but wheels and mounts are measured against them");
         };
-        let geometry = first.scan.geometry;
-        Ok(Self { configured, geometry, wheels, scans })
+        let drive = Drive {
+            configured: self.configured,
+            geometry: first.scan.geometry,
+            wheels: self.wheels,
+            scans: self.scans,
+        };
+        let Self { camera: model, t_base_camera, .. } = self;
+        let camera =
+            self.frames.map(|frames| CameraDrive { model, t_base_camera, pairs: frames.pairs });
+        Ok((drive, camera))
     }
 }
 
-/// What wants to see the frames of a drive while it is read.
-pub(super) trait FrameUser {
-    /// A frame, its time in seconds, and the pose by the wheels at that time.
-    fn see(
-        &mut self,
-        time_s: f64,
-        odom: &Pose2,
-        frame: &runtime::recording::RgbImage,
-    ) -> Result<()>;
+/// Where the sensors were configured to be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mounts {
+    pub t_base_laser: Pose3,
+    pub t_base_camera: Pose3,
+}
+
+/// The camera of a drive, as it was configured, and what it saw.
+pub struct CameraDrive {
+    pub(super) model: CameraModel,
+    pub(super) t_base_camera: Pose3,
+    pub(super) pairs: Vec<FramePair>,
 }
 
 /// Seconds since the first time that was asked for.
@@ -136,7 +179,7 @@ impl Clock {
 }
 
 /// The planar part of a level mount.
-pub(super) fn in_the_plane(mount: &hal::Pose3) -> Pose2 {
+fn in_the_plane(mount: &Pose3) -> Pose2 {
     let ahead = mount.rotation * nalgebra::Vector3::x();
     Pose2::new(mount.translation.x, mount.translation.y, ahead.y.atan2(ahead.x))
 }

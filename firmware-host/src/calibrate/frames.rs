@@ -5,7 +5,6 @@ use hal::{CameraModel, ImageView, Pose2, wrap_angle};
 use runtime::perception::flow::{DenseFlow, FlowPreset};
 use runtime::recording::RgbImage;
 
-use super::drive::FrameUser;
 use super::klt::{Gray, corners, follow};
 
 /// A pair ends when the robot has driven or rotated this far: far enough for parallax, near enough to find every point again.
@@ -91,8 +90,12 @@ fn there_and_back(from: &Gray, to: &Gray, at: [i32; 2], flow: [f32; 2]) -> Optio
     is_same.then(|| Match { from: begin.map(f64::from), to: there.map(f64::from) })
 }
 
-impl FrameUser for FrameMatcher {
-    fn see(&mut self, time_s: f64, odom: &Pose2, frame: &RgbImage) -> Result<()> {
+impl FrameMatcher {
+    /// Takes the next frame, its time in seconds, and the pose by the wheels at that time.
+    ///
+    /// # Errors
+    /// A frame of another size than the camera's.
+    pub fn see(&mut self, time_s: f64, odom: &Pose2, frame: &RgbImage) -> Result<()> {
         let Some(kept) = self.kept.take() else {
             self.kept = Some(Kept { time_s, odom: *odom, image: frame.clone() });
             return Ok(());
