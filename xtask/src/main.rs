@@ -4,6 +4,7 @@
 
 mod accuracy;
 mod bench;
+mod calibration;
 mod command;
 mod coverage;
 mod data_loop;
@@ -82,6 +83,15 @@ enum Chore {
     /// without `../shared/data/lidar` it says so and does nothing.
     Localization {
         /// Write the table to docs/data/localization.json and docs/localization.md.
+        #[arg(long)]
+        update: bool,
+    },
+    /// Drive simulated robots whose configuration is wrong, calibrate them, and print the errors. Takes half an hour on two cores.
+    Calibration {
+        /// Number of robots.
+        #[arg(long, default_value_t = 30)]
+        robots: u64,
+        /// Write the tables to docs/data/calibration.json and docs/calibration.md.
         #[arg(long)]
         update: bool,
     },
@@ -185,6 +195,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Bench { json, update, filter } => bench::run(*json, *update, filter.as_deref()),
         Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Localization { update } => localization::run(*update),
+        Chore::Calibration { robots, update } => calibration::run(*robots, *update),
         Chore::Policies { frames, seeds, update } => policies::run(*frames, *seeds, *update),
         Chore::Odometry { frames, seeds, scene, update } => {
             odometry::run(*frames, *seeds, scene, *update)

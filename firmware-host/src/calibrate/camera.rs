@@ -412,3 +412,107 @@ impl Model for CameraFit<'_> {
         blocks
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::laser::LaserParameters;
+    use super::super::scan_path::ScanPose;
+    use super::super::wheels::{WheelGeometry, WheelPath};
+    use super::*;
+    use hal::Twist2;
+    use nalgebra::Point3;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    const HEIGHT_M: f64 = 0.8;
+
+    fn camera() -> CameraModel {
+        CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2)
+    }
+
+    fn truth() -> CameraParameters {
+        CameraParameters {
+            roll_rad: 0.03,
+            pitch_down_rad: -0.04,
+            yaw_rad: 0.05,
+            x_m: 0.02,
+            y_m: -0.03,
+            focal: 1.015,
+            latency_s: 0.06,
+        }
+    }
+
+    /// Velocities, each for two seconds.
+    fn twist(second: f64) -> Twist2 {
+        let parts = [(0.3, 0.0), (0.0, 0.6), (0.3, 0.4), (0.0, -0.6), (0.3, -0.4), (0.3, 0.0)];
+        let (linear_mps, angular_radps) = parts[(second / 2.0) as usize % parts.len()];
+        Twist2 { linear_mps, angular_radps }
+    }
+
+    /// True poses ten times a second for a minute. Velocities change only between them.
+    fn poses() -> Vec<Pose2> {
+        let mut poses = vec![Pose2::IDENTITY];
+        for step in 0..600 {
+            let moved = twist(0.1 * f64::from(step)).integrate(0.1);
+            poses.push(poses[poses.len() - 1].compose(&moved));
+        }
+        poses
+    }
+
+    /// Random points around the robot, and where two frames show them.
+    fn pair(from: usize, to: usize, poses: &[Pose2], rng: &mut Pcg64Mcg) -> FramePair {
+        let mount = truth().mount(HEIGHT_M);
+        let model = camera();
+        let focal = model.fx * truth().focal;
+        let true_model = CameraModel { fx: focal, fy: focal, ..model };
+        let mut matches = Vec::new();
+        while matches.len() < 60 {
+            let [u, v] = [rng.random_range(10.0..630.0), rng.random_range(10.0..182.0)];
+            let point = true_model.unproject(u, v, rng.random_range(1.0..6.0));
+            let in_world = poses[from].to_pose3() * mount * point;
+            let there: Point3<f64> = (poses[to].to_pose3() * mount).inverse() * in_world;
+            let Some((u2, v2)) = true_model.project(&there) else { continue };
+            if (0.0..640.0).contains(&u2) && (0.0..192.0).contains(&v2) {
+                matches.push(Match { from: [u, v], to: [u2, v2] });
+            }
+        }
+        let stamp = |index: usize| 0.1 * index as f64 + truth().latency_s;
+        FramePair { from_s: stamp(from), to_s: stamp(to), matches }
+    }
+
+    #[test]
+    fn mount_focal_length_and_latency_are_found_from_exact_points() {
+        let poses = poses();
+        let mut rng = Pcg64Mcg::seed_from_u64(5);
+        let pairs: Vec<_> =
+            (0..190).map(|index| pair(3 * index, 3 * index + 3, &poses, &mut rng)).collect();
+        let mut wheels = WheelPath::default();
+        let mut scans = Vec::new();
+        for (index, pose) in poses.iter().enumerate() {
+            let time_s = 0.1 * index as f64;
+            wheels.push(time_s, pose, 0.24);
+            scans.push(ScanPose { time_s, pose: *pose, matched: true });
+        }
+        let known = LaserParameters {
+            wheels: WheelGeometry { scale: [1.0, 1.0], track_m: 0.24 },
+            t_base_laser: Pose2::IDENTITY,
+            latency_s: 0.0,
+        };
+        let base = BasePath::new(&wheels, &scans, &known);
+        let mut fit = CameraFit::new(camera(), HEIGHT_M, &base, &pairs);
+        let configured = CameraParameters::configured(&hal::camera_mount(0.0, HEIGHT_M, 0.0));
+        let found = fit.estimate(&configured).unwrap();
+        let error = &found.parameters - truth().to_vector();
+        let largest = [1e-3, 1e-3, 1e-3, 0.01, 0.01, 3e-3, 2e-3];
+        for (index, largest) in largest.into_iter().enumerate() {
+            assert!(error[index].abs() < largest, "{index}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_mount_comes_back_from_its_pose() {
+        let back = CameraParameters::configured(&truth().mount(HEIGHT_M));
+        let expected = CameraParameters { focal: 1.0, latency_s: 0.0, ..truth() };
+        assert!((back.to_vector() - expected.to_vector()).amax() < 1e-12);
+    }
+}

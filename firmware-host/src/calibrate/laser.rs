@@ -92,7 +92,7 @@ enum Compared {
 
 /// Robust deviations between scans and wheels. What is left, and what it was with the configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Residuals {
+pub struct Residuals {
     /// Of the yaw over a short span, radians.
     pub yaw_rad: f64,
     /// Of the translation over a long span, metres.
@@ -177,8 +177,11 @@ struct Spans<'a> {
 impl<'a> Spans<'a> {
     /// `parameters` only say where spans end and how the yaw is unwrapped.
     fn new(wheels: &'a WheelPath, path: &[ScanPose], parameters: &LaserParameters) -> Self {
-        let cut = |length: f64| cut(wheels, path, parameters, length);
-        Self { wheels, yaw: cut(YAW_SPAN), translation: cut(TRANSLATION_SPAN) }
+        Self {
+            wheels,
+            yaw: cut(wheels, path, parameters, YAW_SPAN),
+            translation: cut(wheels, path, parameters, TRANSLATION_SPAN),
+        }
     }
 
     fn yaw_residual(&self, span: &Span, parameters: &LaserParameters) -> f64 {
@@ -219,13 +222,18 @@ impl<'a> Spans<'a> {
         robust_sigma(&mut self.all(kind, rotates, parameters)).unwrap_or(least).max(least)
     }
 
+    /// The robust deviation over all spans.
+    fn deviation(&self, kind: Compared, parameters: &LaserParameters) -> f64 {
+        let mut all = self.all(kind, false, parameters);
+        all.extend(self.all(kind, true, parameters));
+        robust_sigma(&mut all).unwrap_or(0.0)
+    }
+
     fn residuals(&self, parameters: &LaserParameters) -> Residuals {
-        let both = |kind| {
-            let mut all = self.all(kind, false, parameters);
-            all.extend(self.all(kind, true, parameters));
-            robust_sigma(&mut all).unwrap_or(0.0)
-        };
-        Residuals { yaw_rad: both(Compared::Yaw), translation_m: both(Compared::Translation) }
+        Residuals {
+            yaw_rad: self.deviation(Compared::Yaw, parameters),
+            translation_m: self.deviation(Compared::Translation, parameters),
+        }
     }
 }
 
@@ -289,7 +297,7 @@ impl Model for Spans<'_> {
         for span in &self.yaw {
             let sigma = if span.rotates { fast } else { slow };
             let jacobian = derivative(parameters, |moved| [self.yaw_residual(span, moved)]);
-            let [residual] = [self.yaw_residual(span, &at)];
+            let residual = self.yaw_residual(span, &at);
             blocks[span.block()].add(&jacobian[0], residual, sigma);
         }
         let [slow, fast] =
@@ -329,4 +337,110 @@ fn derivative<const N: usize>(
         }
     }
     gradients
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use hal::Twist2;
+
+    const CONFIGURED: Configured =
+        Configured { wheel_radius_m: 0.05, track_m: 0.24, t_base_laser: Pose2::IDENTITY };
+
+    fn truth() -> LaserParameters {
+        LaserParameters {
+            wheels: WheelGeometry { scale: [1.03, 0.98], track_m: 0.255 },
+            t_base_laser: Pose2::new(0.12, -0.02, 0.06),
+            latency_s: 0.05,
+        }
+    }
+
+    /// Velocities of the drive, each for a second and a half.
+    fn twist(second: f64) -> Twist2 {
+        let [forward, left, arc, right] = [(0.3, 0.0), (0.0, 0.8), (0.2, 0.4), (0.0, -0.8)]
+            .map(|(linear_mps, angular_radps)| Twist2 { linear_mps, angular_radps });
+        let parts = [forward, left, arc, right, forward, right, arc, left];
+        parts[(second / 1.5) as usize % parts.len()]
+    }
+
+    const STEP_S: f64 = 0.01;
+
+    /// True poses every hundredth of a second for a minute.
+    fn true_path() -> Vec<Pose2> {
+        let mut poses = vec![Pose2::IDENTITY];
+        for step in 0..6000 {
+            let moved = twist(STEP_S * f64::from(step)).integrate(STEP_S);
+            poses.push(poses[poses.len() - 1].compose(&moved));
+        }
+        poses
+    }
+
+    /// What the wheels of the true robot report, as it is configured.
+    fn reports() -> WheelPath {
+        let LaserParameters { wheels: WheelGeometry { scale, track_m }, .. } = truth();
+        let mut odom = Pose2::IDENTITY;
+        let mut path = WheelPath::default();
+        for step in 0..6000 {
+            let time_s = STEP_S * f64::from(step);
+            path.push(time_s, &odom, CONFIGURED.track_m);
+            let Twist2 { linear_mps, angular_radps } = twist(time_s);
+            let side_mps = 0.5 * angular_radps * track_m;
+            let left_mps = (linear_mps - side_mps) / scale[0];
+            let right_mps = (linear_mps + side_mps) / scale[1];
+            let believed = Twist2 {
+                linear_mps: 0.5 * (left_mps + right_mps),
+                angular_radps: (right_mps - left_mps) / CONFIGURED.track_m,
+            };
+            odom = odom.compose(&believed.integrate(STEP_S));
+        }
+        path
+    }
+
+    /// Where the scanner was, ten times a second.
+    fn scans() -> Vec<ScanPose> {
+        let LaserParameters { t_base_laser, latency_s, .. } = truth();
+        let path = true_path();
+        let start = path[0].compose(&t_base_laser);
+        let scan = |index: usize| {
+            let pose = path[10 * index].compose(&t_base_laser);
+            ScanPose {
+                time_s: 0.1 * index as f64 + latency_s,
+                pose: start.inverse().compose(&pose),
+                matched: true,
+            }
+        };
+        (0..600).map(scan).collect()
+    }
+
+    #[test]
+    fn wheels_scanner_and_latency_are_found_from_paths_without_noise() {
+        let wheels = reports();
+        let configured = LaserParameters::configured(&CONFIGURED);
+        let mut spans = Spans::new(&wheels, &scans(), &configured);
+        let found = fit(&mut spans, &prior(&configured), &configured.to_vector()).unwrap();
+        let error = &found.parameters - truth().to_vector();
+        let largest = [1e-3, 1e-3, 3e-4, 1e-3, 1e-3, 1e-3, 1e-3];
+        for (index, largest) in largest.into_iter().enumerate() {
+            assert!(error[index].abs() < largest, "{index}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_straight_drive_does_not_show_track_and_place_of_the_scanner() {
+        let mut wheels = WheelPath::default();
+        let mut scans = Vec::new();
+        for index in 0..600 {
+            let time_s = 0.1 * f64::from(index);
+            let pose = Pose2::new(0.3 * time_s, 0.0, 0.0);
+            wheels.push(time_s, &pose, CONFIGURED.track_m);
+            scans.push(ScanPose { time_s, pose, matched: true });
+        }
+        let configured = LaserParameters::configured(&CONFIGURED);
+        let mut spans = Spans::new(&wheels, &scans, &configured);
+        let found = fit(&mut spans, &prior(&configured), &configured.to_vector()).unwrap();
+        for (index, least_sigma) in [(2, 0.05), (3, 0.1), (4, 0.1)] {
+            assert!(found.sigma(index) > least_sigma, "{index}: {}", found.sigma(index));
+        }
+        assert!(found.sigma(0) < 0.01 && found.sigma(1) < 0.01);
+    }
 }
