@@ -197,10 +197,9 @@ impl Finding {
     pub fn verdict(&self) -> Verdict {
         let nature = self.parameter.nature();
         let change = (self.new - self.old).abs();
-        // Not true for NaN either.
-        if !(self.sigma <= nature.needed_sigma) {
+        if self.sigma.is_nan() || self.sigma > nature.needed_sigma {
             Verdict::NotObserved
-        } else if !(change <= nature.largest_change) {
+        } else if change.is_nan() || change > nature.largest_change {
             Verdict::Implausible
         } else if change <= 2.0 * self.sigma {
             Verdict::AsConfigured

@@ -1,8 +1,6 @@
 //! All measurements of one drive.
 
-use anyhow::{Result, bail};
-
-use crate::config::Config;
+use anyhow::Result;
 
 use super::base_path::BasePath;
 use super::camera::{self, CameraError, CameraFit, CameraParameters};
@@ -117,55 +115,4 @@ fn laser_findings(drive: &Drive, estimate: &super::least_squares::Estimate) -> V
         });
     }
     findings
-}
-
-/// Turns findings against the configuration of the recording into findings against another configuration, in the words of its
-/// keys: the scales of the radii and the latency of the camera are in addition to what was configured then.
-///
-/// # Errors
-/// A wheel radius that is 0.
-pub fn against(
-    findings: &[Finding],
-    recorded: &Config,
-    config: &Config,
-    is_simulated: bool,
-) -> Result<Vec<Finding>> {
-    let [then, now] = [&recorded.devices.base, &config.devices.base];
-    if !(now.wheel_radius_m > 0.0) {
-        bail!("the configured wheel radius is {}", now.wheel_radius_m);
-    }
-    let radius = then.wheel_radius_m / now.wheel_radius_m;
-    // The simulated camera of `explore` does not use this setting.
-    let latency_ms = if is_simulated { 0.0 } else { recorded.devices.camera.latency_ms };
-    let camera = config.camera;
-    let translate = |finding: &Finding| {
-        let scaled = |then: f64, now: f64| Finding {
-            old: now,
-            new: finding.new * then * radius,
-            sigma: finding.sigma * then * radius,
-            ..*finding
-        };
-        let replaced = |old: f64| Finding { old, ..*finding };
-        match finding.parameter {
-            Parameter::LeftRadius => scaled(then.left_radius_scale, now.left_radius_scale),
-            Parameter::RightRadius => scaled(then.right_radius_scale, now.right_radius_scale),
-            Parameter::Track => replaced(now.track_m),
-            Parameter::LidarForward => replaced(config.lidar.forward_m),
-            Parameter::LidarLeft => replaced(config.lidar.left_m),
-            Parameter::LidarYaw => replaced(config.lidar.yaw_deg),
-            Parameter::CameraRoll => replaced(camera.roll_deg),
-            Parameter::CameraPitch => replaced(camera.pitch_down_deg),
-            Parameter::CameraYaw => replaced(camera.yaw_deg),
-            Parameter::CameraForward => replaced(camera.forward_m),
-            Parameter::CameraLeft => replaced(camera.left_m),
-            Parameter::CameraHeight => replaced(camera.height_m),
-            Parameter::CameraLatency => Finding {
-                old: if is_simulated { 0.0 } else { config.devices.camera.latency_ms },
-                new: finding.new + latency_ms,
-                ..*finding
-            },
-            Parameter::LidarLatency | Parameter::FocalLength => *finding,
-        }
-    };
-    Ok(findings.iter().map(translate).collect())
 }

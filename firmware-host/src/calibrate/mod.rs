@@ -9,8 +9,9 @@
 //! | `klt`, `frames` | points that were followed between frames |
 //! | `camera`, `floor` | the camera's mount and latency, and its height |
 //! | `least_squares` | robust fits whose standard deviations hold |
-//! | `finding`, `measure`, `file` | what is said and written |
+//! | `finding`, `against`, `measure`, `file` | what is said and written |
 
+mod against;
 mod base_path;
 mod camera;
 mod drive;
@@ -25,7 +26,7 @@ mod measure;
 mod scan_path;
 mod wheels;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use runtime::recording::RunHeader;
@@ -35,6 +36,7 @@ use crate::config::Config;
 use crate::localize::log::Log;
 use crate::recorded::Recorded;
 use crate::report::atomic::write_atomically;
+use against::against;
 pub use drive::{CameraDrive, Drive, DriveReader, Mounts};
 use file::Provenance;
 pub use finding::{Finding, Nature, Parameter, Verdict};
@@ -67,7 +69,10 @@ fn of_recording(path: &Path, args: &CalibrateArgs) -> Result<()> {
     let config = args.config.as_deref().map(Config::load).transpose()?;
     let config = config.unwrap_or_else(|| recorded.clone());
     let is_simulated = header.scene.is_some();
-    let findings = measure::against(&measured.findings, &recorded, &config, is_simulated)?;
+    let mut findings = measured.findings.clone();
+    for finding in &mut findings {
+        *finding = against(finding, &recorded, &config, is_simulated);
+    }
     print(&findings, &measured);
     refuse(&findings)?;
     let beside = args.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
@@ -155,7 +160,7 @@ fn refuse(findings: &[Finding]) -> Result<()> {
     Ok(())
 }
 
-fn write(findings: &[Finding], drive: &Path, out: &PathBuf) -> Result<()> {
+fn write(findings: &[Finding], drive: &Path, out: &Path) -> Result<()> {
     let provenance = Provenance {
         drive: drive.display().to_string(),
         date: jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
