@@ -8,6 +8,7 @@ use crate::config::Config;
 use crate::localize::log::Log;
 
 use super::frames::{FrameMatcher, FramePair};
+use super::regular_times::regular;
 use super::wheels::WheelPath;
 
 /// The track that is assumed for a log that does not say it, metres. Only the ratio to it is found then.
@@ -62,6 +63,10 @@ impl Drive {
                 let scan = LaserScan { time_ns, geometry: log.geometry, ranges: ranges.clone() };
                 drive.scans.push(TimedScan { time_s, scan });
             }
+        }
+        let times_s: Vec<f64> = drive.scans.iter().map(|timed| timed.time_s).collect();
+        for (timed, time_s) in drive.scans.iter_mut().zip(regular(&times_s)) {
+            timed.time_s = time_s;
         }
         drive
     }

@@ -2,7 +2,7 @@
 //!
 //! | file | idea |
 //! |---|---|
-//! | `drive` | what a recording or a log holds |
+//! | `drive`, `regular_times` | what a recording or a log holds |
 //! | `wheels`, `scan_path` | the path by the wheels, and by matched scans |
 //! | `laser` | wheels and scanner together |
 //! | `base_path` | where the robot was at any time |
@@ -23,6 +23,7 @@ mod klt;
 mod laser;
 mod least_squares;
 mod measure;
+mod regular_times;
 mod scan_path;
 mod wheels;
 

@@ -64,14 +64,6 @@ impl WheelPath {
         self.knots.push(Knot { time_s, travel_m: before + travel(&moved, track_m) });
     }
 
-    /// First and last time, seconds. `None` without two reports.
-    pub fn span_s(&self) -> Option<[f64; 2]> {
-        match self.knots.as_slice() {
-            [first, .., last] => Some([first.time_s, last.time_s]),
-            _ => None,
-        }
-    }
-
     /// The sums of both wheels' travel at a time. Outside of the reports the robot stands.
     fn at(&self, time_s: f64) -> Vector2<f64> {
         let after = self.knots.partition_point(|knot| knot.time_s <= time_s);
@@ -207,6 +199,5 @@ mod tests {
         let path = arc(Twist2 { linear_mps: 0.5, angular_radps: 0.3 });
         assert_eq!(path.motion_by_wheels(&GEOMETRY, -3.0, -1.0), Pose2::IDENTITY);
         assert_eq!(path.motion_by_wheels(&GEOMETRY, 2.0, 5.0), Pose2::IDENTITY);
-        assert_eq!(path.span_s(), Some([0.0, 2.0]));
     }
 }

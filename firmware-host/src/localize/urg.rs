@@ -25,7 +25,7 @@ const GEOMETRY: ScanGeometry = ScanGeometry {
     range_min_m: 0.02,
     range_max_m: 4.095,
     // The log's times are those of arrival, so that nothing is known about the times of beams.
-    period_ns: 0,
+    period_ns: 100_000_000,
 };
 
 /// The first line with content begins with a number and has a column for every range.
