@@ -12,13 +12,15 @@ use nalgebra::DVector;
 use super::drive::{Configured, Drive};
 use super::least_squares::{Block, Estimate, Model, Prior, fit, robust_sigma};
 use super::scan_path::{ScanPose, laser_motion, match_scans};
-use super::wheels::{WheelGeometry, WheelPath};
+use super::wheels::{WheelGeometry, WheelMotion, WheelPath};
 
 /// Number of parameters, in this order: radius left and right (share of the configured), track (m), the scanner's x, y (m) and
 /// yaw (rad), its latency (s).
 pub(super) const PARAMETERS: usize = 7;
-/// Steps of the numerical derivative.
-const STEPS: [f64; PARAMETERS] = [1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4];
+/// Step of the numerical derivatives: shares, metres, radians and seconds alike.
+const STEP: f64 = 1e-4;
+/// No scanner matches better than this: a tenth of a millimetre and of a milliradian. It keeps weights finite.
+const LEAST_SIGMA: f64 = 1e-4;
 /// Plausible deviations from the configuration. What the drive says nothing about stays within them.
 const PLAUSIBLE: [f64; 2] = [0.2, 0.2];
 const PLAUSIBLE_TRACK: f64 = 0.3;
@@ -33,8 +35,10 @@ const TRANSLATION_SPAN: f64 = 0.3;
 const LONGEST_SPAN_S: f64 = 3.0;
 /// Length of a block of time, seconds: several times longer than what neighbouring matches have in common.
 const BLOCK_S: f64 = 4.0;
-/// Scans are matched anew with better starts this many times: a match is drawn a little to where it began.
-const ROUNDS: usize = 4;
+/// Scans are matched anew with better starts, because a match is drawn a little to where it began. In each round the residuals
+/// count as this many times more uncertain than they are: a robust fit that trusts them too early keeps a wrong latency, with
+/// which most spans agree already.
+const ROUNDS: [f64; 4] = [10.0, 3.0, 1.0, 1.0];
 /// Fewer spans than this are no drive.
 const LEAST_SPANS: usize = 30;
 
@@ -79,15 +83,41 @@ struct Span {
     moved: Pose2,
     /// Yaw of the motion, not wrapped.
     yaw_rad: f64,
-    /// The robot rotated more than it drove: the wheels' noise is another one.
-    rotates: bool,
+    kind: Kind,
 }
 
-/// What is compared over a span.
+/// What the robot did during a span. The wheels' noise differs: a robot that rotates on the spot drives no distance that could be
+/// wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Drives,
+    Rotates,
+    Both,
+}
+
+impl Kind {
+    const ALL: [Self; 3] = [Self::Drives, Self::Rotates, Self::Both];
+    /// A span with less of the other motion than this share, radians against metres, is of one kind.
+    const OTHER: f64 = 0.01;
+
+    fn of(motion: &WheelMotion) -> Self {
+        let share = motion.rotation_rad / (motion.rotation_rad + motion.distance_m);
+        if share < Self::OTHER {
+            Self::Drives
+        } else if share > 1.0 - Self::OTHER {
+            Self::Rotates
+        } else {
+            Self::Both
+        }
+    }
+}
+
+/// What is compared over a span. Along the robot's heading the wheels' noise counts, across it only that of the scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Compared {
     Yaw,
-    Translation,
+    Along,
+    Across,
 }
 
 /// Robust deviations between scans and wheels. What is left, and what it was with the configuration.
@@ -137,9 +167,10 @@ pub(super) fn estimate(drive: &Drive) -> Result<LaserResult, LaserError> {
     let prior = prior(&configured);
     let mut parameters = configured;
     let mut last = None;
-    for _ in 0..ROUNDS {
+    for widened in ROUNDS {
         let path = match_scans(drive, &parameters)?;
         let mut spans = Spans::new(&drive.wheels, &path, &parameters);
+        spans.widened = widened;
         let count = spans.yaw.len().min(spans.translation.len());
         if count < LEAST_SPANS {
             return Err(LaserError::Spans { spans: count });
@@ -170,8 +201,13 @@ fn prior(configured: &LaserParameters) -> Prior {
 /// The spans of a drive.
 struct Spans<'a> {
     wheels: &'a WheelPath,
+    /// What the wheels would report without noise, by the scans. Derivatives are taken there: those of the wheels' own path hold the
+    /// noise of the residuals, which makes every rotation look too large (regression dilution) and shifts the latency.
+    quiet: WheelPath,
     yaw: Vec<Span>,
     translation: Vec<Span>,
+    /// How many times more uncertain residuals count than they are.
+    widened: f64,
 }
 
 impl<'a> Spans<'a> {
@@ -179,73 +215,116 @@ impl<'a> Spans<'a> {
     fn new(wheels: &'a WheelPath, path: &[ScanPose], parameters: &LaserParameters) -> Self {
         Self {
             wheels,
+            quiet: quiet(path, parameters),
             yaw: cut(wheels, path, parameters, YAW_SPAN),
             translation: cut(wheels, path, parameters, TRANSLATION_SPAN),
+            widened: 1.0,
         }
     }
 
-    fn yaw_residual(&self, span: &Span, parameters: &LaserParameters) -> f64 {
-        let [from_s, to_s] = span.times_s(parameters);
-        self.wheels.motion(&parameters.wheels, from_s, to_s).yaw_rad - span.yaw_rad
-    }
-
-    fn translation_residual(&self, span: &Span, parameters: &LaserParameters) -> [f64; 2] {
-        let [from_s, to_s] = span.times_s(parameters);
-        let moved = self.wheels.motion_with_yaw(&parameters.wheels, from_s, to_s, span.yaw_rad);
-        let expected = laser_motion(&moved, &parameters.t_base_laser);
-        [expected.x_m - span.moved.x_m, expected.y_m - span.moved.y_m]
-    }
-
-    /// The residuals of a kind, one or two for each span.
-    fn all(&self, kind: Compared, rotates: bool, parameters: &LaserParameters) -> Vec<f64> {
-        match kind {
-            Compared::Yaw => self
-                .yaw
-                .iter()
-                .filter(|span| span.rotates == rotates)
-                .map(|span| self.yaw_residual(span, parameters))
-                .collect(),
-            Compared::Translation => self
-                .translation
-                .iter()
-                .filter(|span| span.rotates == rotates)
-                .flat_map(|span| self.translation_residual(span, parameters))
-                .collect(),
+    fn spans(&self, compared: Compared) -> &[Span] {
+        match compared {
+            Compared::Yaw => &self.yaw,
+            Compared::Along | Compared::Across => &self.translation,
         }
     }
 
-    fn sigma(&self, kind: Compared, rotates: bool, parameters: &LaserParameters) -> f64 {
-        let least = match kind {
-            Compared::Yaw => LEAST_YAW_RAD,
-            Compared::Translation => LEAST_TRANSLATION_M,
-        };
-        robust_sigma(&mut self.all(kind, rotates, parameters)).unwrap_or(least).max(least)
+    /// By how much the wheels say more than the scans.
+    fn residual(&self, compared: Compared, span: &Span, parameters: &LaserParameters) -> f64 {
+        residual(self.wheels, compared, span, parameters)
+    }
+    /// The residuals of one kind of span.
+    fn all(&self, compared: Compared, kind: Kind, parameters: &LaserParameters) -> Vec<f64> {
+        let spans = self.spans(compared).iter().filter(|span| span.kind == kind);
+        spans.map(|span| self.residual(compared, span, parameters)).collect()
+    }
+
+    /// Adds all residuals of one kind of span.
+    fn add(&self, compared: Compared, kind: Kind, parameters: &DVector<f64>, blocks: &mut [Block]) {
+        let at = LaserParameters::from_vector(parameters);
+        let Some(sigma) = robust_sigma(&mut self.all(compared, kind, &at)) else { return };
+        let sigma = self.widened * sigma.max(LEAST_SIGMA);
+        for span in self.spans(compared).iter().filter(|span| span.kind == kind) {
+            let jacobian = self.derivative(compared, span, parameters);
+            let residual = self.residual(compared, span, &at);
+            blocks[span.block()].add(&jacobian, residual, sigma);
+        }
+    }
+
+    /// Central differences of a residual.
+    fn derivative(
+        &self,
+        compared: Compared,
+        span: &Span,
+        parameters: &DVector<f64>,
+    ) -> DVector<f64> {
+        let mut gradient = DVector::zeros(PARAMETERS);
+        for index in 0..PARAMETERS {
+            let mut residuals = [0.0; 2];
+            for (change_of, change) in residuals.iter_mut().zip([STEP, -STEP]) {
+                let mut moved = parameters.clone();
+                moved[index] += change;
+                let moved = LaserParameters::from_vector(&moved);
+                *change_of = residual(&self.quiet, compared, span, &moved);
+            }
+            gradient[index] = (residuals[0] - residuals[1]) / (2.0 * STEP);
+        }
+        gradient
     }
 
     /// The robust deviation over all spans.
-    fn deviation(&self, kind: Compared, parameters: &LaserParameters) -> f64 {
-        let mut all = self.all(kind, false, parameters);
-        all.extend(self.all(kind, true, parameters));
+    fn deviation(&self, compared: &[Compared], parameters: &LaserParameters) -> f64 {
+        let mut all = Vec::new();
+        for compared in compared {
+            for kind in Kind::ALL {
+                all.extend(self.all(*compared, kind, parameters));
+            }
+        }
         robust_sigma(&mut all).unwrap_or(0.0)
     }
 
     fn residuals(&self, parameters: &LaserParameters) -> Residuals {
         Residuals {
-            yaw_rad: self.deviation(Compared::Yaw, parameters),
-            translation_m: self.deviation(Compared::Translation, parameters),
+            yaw_rad: self.deviation(&[Compared::Yaw], parameters),
+            translation_m: self.deviation(&[Compared::Along, Compared::Across], parameters),
         }
     }
 }
 
-/// No scanner matches better than this: a tenth of a millimetre and of a milliradian. It keeps weights finite.
-const LEAST_YAW_RAD: f64 = 1e-4;
-const LEAST_TRANSLATION_M: f64 = 1e-4;
-
-impl Span {
-    /// The times of both scans on the wheels' clock.
-    fn times_s(&self, parameters: &LaserParameters) -> [f64; 2] {
-        [self.from_s, self.to_s].map(|time_s| time_s - parameters.latency_s)
+/// By how much a path of wheels says more than the scans over a span.
+fn residual(
+    path: &WheelPath,
+    compared: Compared,
+    span: &Span,
+    parameters: &LaserParameters,
+) -> f64 {
+    let times_s = [span.from_s, span.to_s].map(|time_s| time_s - parameters.latency_s);
+    let [from_s, to_s] = times_s;
+    let wheels = &parameters.wheels;
+    if compared == Compared::Yaw {
+        return path.motion(wheels, from_s, to_s).yaw_rad - span.yaw_rad;
     }
+    let moved = path.motion_with_yaw(wheels, from_s, to_s, span.yaw_rad);
+    let expected = laser_motion(&moved, &parameters.t_base_laser);
+    let [x_m, y_m] = [expected.x_m - span.moved.x_m, expected.y_m - span.moved.y_m];
+    // From the scanner's axes to those of the robot.
+    let (sin, cos) = parameters.t_base_laser.yaw_rad.sin_cos();
+    match compared {
+        Compared::Along => cos * x_m - sin * y_m,
+        _ => sin * x_m + cos * y_m,
+    }
+}
+
+/// The reports of wheels that drove exactly as the scans say.
+fn quiet(path: &[ScanPose], parameters: &LaserParameters) -> WheelPath {
+    let LaserParameters { wheels, t_base_laser, latency_s } = parameters;
+    let to_base = t_base_laser.inverse();
+    let mut quiet = WheelPath::default();
+    for scan in path {
+        let pose = t_base_laser.compose(&scan.pose).compose(&to_base);
+        quiet.push(scan.time_s - latency_s, &pose, wheels.track_m);
+    }
+    quiet.reported_with(wheels.scale)
 }
 
 /// Cuts the path into spans of at least this way, metres or radians.
@@ -279,7 +358,7 @@ fn cut(
             to_s: scan.time_s,
             moved: from.pose.inverse().compose(&scan.pose),
             yaw_rad,
-            rotates: motion.rotation_rad > motion.distance_m,
+            kind: Kind::of(&motion),
         });
         from = scan;
         yaw_rad = 0.0;
@@ -289,25 +368,12 @@ fn cut(
 
 impl Model for Spans<'_> {
     fn linearise(&mut self, parameters: &DVector<f64>) -> Vec<Block> {
-        let at = LaserParameters::from_vector(parameters);
         let last_s = self.yaw.iter().chain(&self.translation).map(|span| span.to_s);
         let blocks = (last_s.fold(0.0, f64::max) / BLOCK_S) as usize + 1;
         let mut blocks = vec![Block::empty(PARAMETERS); blocks];
-        let [slow, fast] = [false, true].map(|rotates| self.sigma(Compared::Yaw, rotates, &at));
-        for span in &self.yaw {
-            let sigma = if span.rotates { fast } else { slow };
-            let jacobian = derivative(parameters, |moved| [self.yaw_residual(span, moved)]);
-            let residual = self.yaw_residual(span, &at);
-            blocks[span.block()].add(&jacobian[0], residual, sigma);
-        }
-        let [slow, fast] =
-            [false, true].map(|rotates| self.sigma(Compared::Translation, rotates, &at));
-        for span in &self.translation {
-            let sigma = if span.rotates { fast } else { slow };
-            let jacobian = derivative(parameters, |moved| self.translation_residual(span, moved));
-            let residual = self.translation_residual(span, &at);
-            for (jacobian, residual) in jacobian.iter().zip(residual) {
-                blocks[span.block()].add(jacobian, residual, sigma);
+        for kind in Kind::ALL {
+            for compared in [Compared::Yaw, Compared::Along, Compared::Across] {
+                self.add(compared, kind, parameters, &mut blocks);
             }
         }
         blocks
@@ -318,25 +384,6 @@ impl Span {
     fn block(&self) -> usize {
         (self.to_s.max(0.0) / BLOCK_S) as usize
     }
-}
-
-/// Central differences of residuals, one gradient for each.
-fn derivative<const N: usize>(
-    parameters: &DVector<f64>,
-    residual: impl Fn(&LaserParameters) -> [f64; N],
-) -> [DVector<f64>; N] {
-    let mut gradients = [(); N].map(|()| DVector::zeros(PARAMETERS));
-    for (index, step) in STEPS.into_iter().enumerate() {
-        let [more, less] = [step, -step].map(|change| {
-            let mut moved = parameters.clone();
-            moved[index] += change;
-            residual(&LaserParameters::from_vector(&moved))
-        });
-        for (gradient, (more, less)) in gradients.iter_mut().zip(more.iter().zip(less)) {
-            gradient[index] = (more - less) / (2.0 * step);
-        }
-    }
-    gradients
 }
 
 #[cfg(test)]

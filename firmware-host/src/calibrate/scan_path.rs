@@ -12,6 +12,9 @@ use super::laser::LaserParameters;
 /// Standard deviation of the wheels as a share of their motion: the largest that localization takes.
 const WHEEL_NOISE: f64 = 0.5;
 
+/// The velocity is taken over this time at least, seconds, if a scanner does not say how long its sweep is.
+const SHORTEST_SWEEP_S: f64 = 0.02;
+
 /// Where the scanner was.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ScanPose {
@@ -38,23 +41,54 @@ pub(super) fn match_scans(
         ..LocalizationConfig::default()
     };
     let mut localizer = Localizer::new(&config, drive.geometry, Pose2::IDENTITY)?;
-    let mut by_wheels = parameters.t_base_laser;
-    let mut last_s = None;
+    let half_s = 0.5 * (drive.geometry.period_ns as f64 * 1e-9).max(SHORTEST_SWEEP_S);
+    let mut by_wheels = ByWheels::new(drive, parameters);
     let mut poses = Vec::with_capacity(drive.scans.len());
     for timed in &drive.scans {
-        let time_s = timed.time_s - parameters.latency_s;
-        if let Some(last_s) = last_s {
-            let moved = drive.wheels.motion_by_wheels(&parameters.wheels, last_s, time_s);
-            by_wheels = by_wheels.compose(&laser_motion(&moved, &parameters.t_base_laser));
-        }
-        last_s = Some(time_s);
-        let time_ns = (timed.time_s.max(0.0) * 1e9) as u64;
-        let estimate = localizer.update(&by_wheels, time_ns, Some((&timed.scan, &by_wheels)));
+        let time_s = timed.time_s;
+        // Three reports for each scan, so that its motion is taken out with the velocity during its sweep.
+        let begin = by_wheels.at(time_s - half_s);
+        let middle = by_wheels.at(time_s);
+        let end = by_wheels.at(time_s + half_s);
+        localizer.update(&begin, nanoseconds(time_s - half_s), None);
+        let scan = Some((&timed.scan, &middle));
+        let estimate = localizer.update(&end, nanoseconds(time_s + half_s), scan);
         localizer.continue_by_wheels();
         let pose = estimate.t_odom_base_at_scan.unwrap_or(estimate.t_odom_base);
-        poses.push(ScanPose { time_s: timed.time_s, pose, matched: estimate.matched });
+        poses.push(ScanPose { time_s, pose, matched: estimate.matched });
     }
     Ok(poses)
+}
+
+/// A second before the drive, so that the first sweep does not begin before time 0.
+fn nanoseconds(time_s: f64) -> u64 {
+    ((time_s + 1.0).max(0.0) * 1e9) as u64
+}
+
+/// Where the wheels say that the scanner is.
+struct ByWheels<'a> {
+    drive: &'a Drive,
+    parameters: &'a LaserParameters,
+    last_s: Option<f64>,
+    pose: Pose2,
+}
+
+impl<'a> ByWheels<'a> {
+    fn new(drive: &'a Drive, parameters: &'a LaserParameters) -> Self {
+        Self { drive, parameters, last_s: None, pose: Pose2::IDENTITY }
+    }
+
+    /// The scanner's pose at a time on the scanner's clock. Times that go back leave it where it is.
+    fn at(&mut self, time_s: f64) -> Pose2 {
+        let LaserParameters { wheels, t_base_laser, latency_s } = self.parameters;
+        let time_s = time_s - latency_s;
+        if let Some(last_s) = self.last_s {
+            let moved = self.drive.wheels.motion_by_wheels(wheels, last_s, time_s.max(last_s));
+            self.pose = self.pose.compose(&laser_motion(&moved, t_base_laser));
+        }
+        self.last_s = Some(self.last_s.map_or(time_s, |last_s| last_s.max(time_s)));
+        self.pose
+    }
 }
 
 /// The motion of the scanner in its own frame, for a motion of `base_link`.

@@ -64,6 +64,14 @@ impl WheelPath {
         self.knots.push(Knot { time_s, travel_m: before + travel(&moved, track_m) });
     }
 
+    /// The same path as wheels with these scales would report it.
+    pub fn reported_with(mut self, scale: [f64; 2]) -> Self {
+        for knot in &mut self.knots {
+            knot.travel_m = Vector2::new(knot.travel_m.x / scale[0], knot.travel_m.y / scale[1]);
+        }
+        self
+    }
+
     /// The sums of both wheels' travel at a time. Outside of the reports the robot stands.
     fn at(&self, time_s: f64) -> Vector2<f64> {
         let after = self.knots.partition_point(|knot| knot.time_s <= time_s);
