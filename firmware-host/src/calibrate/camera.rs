@@ -18,18 +18,20 @@ use super::least_squares::{Block, Estimate, Model, Prior, Weight, fit, tukey};
 
 /// Number of parameters, in this order: roll, pitch down, yaw (rad), x, y (m), scale of the focal length, latency (s).
 pub(super) const PARAMETERS: usize = 7;
+/// Index of the latency.
+const LATENCY: usize = 6;
 const NUISANCES: usize = 5;
 /// Steps of the numerical derivatives: small against the parameters' effects, large against rounding.
-const STEPS: [f64; PARAMETERS] = [1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4];
+const STEPS: [f64; PARAMETERS] = [1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 5e-3];
 const NUISANCE_STEP: f64 = 1e-6;
 /// Plausible deviations from the configuration.
 const PLAUSIBLE: [f64; PARAMETERS] = [0.2, 0.2, 0.2, 0.2, 0.2, 0.1, 0.2];
 /// Inverse distance of a point in a home: mean and standard deviation, 1/m.
 const INVERSE_DISTANCE: [f64; 2] = [0.4, 0.5];
-/// Errors of a known motion. Matched scans: 2 mm and a milliradian. The floor tilts a robot that drives; one that rotates on the
+/// Errors of a known motion. Matched scans, and wheels between them: 2 mm and 2 mrad. The floor tilts a robot that drives; one that rotates on the
 /// spot keeps its tilt. 0.02 rad/m is what a floor according to DIN 18202 does over waves of a metre.
 const MOTION_M: f64 = 0.002;
-const MOTION_RAD: f64 = 0.001;
+const MOTION_RAD: f64 = 0.002;
 const TILT_RAD: f64 = 0.0003;
 const TILT_RAD_PER_M: f64 = 0.02;
 /// No corner is followed better than this, pixels.
@@ -113,11 +115,21 @@ pub(super) enum CameraError {
     NoSolution,
 }
 
+/// The motion of `base_link` from the first frame of a pair to the second.
+fn base_motion(base: &BasePath<'_>, pair: &FramePair, latency_s: f64) -> Option<Pose2> {
+    let from = base.at(pair.from_s - latency_s)?;
+    let to = base.at(pair.to_s - latency_s)?;
+    Some(from.inverse().compose(&to))
+}
+
 /// Frames, the known path, and the present errors of the motion between each two frames.
 pub(super) struct CameraFit<'a> {
     pub camera: CameraModel,
     pub height_m: f64,
     pub base: &'a BasePath<'a>,
+    /// The path by the scans alone, for derivatives by the latency: those of `base` hold the wheels' noise, which is in the residuals
+    /// too and would shift the latency.
+    pub quiet: &'a BasePath<'a>,
     pub pairs: &'a [FramePair],
     nuisances: Vec<Vector5<f64>>,
     /// Robust standard deviation of a point, pixels.
@@ -142,11 +154,11 @@ impl<'a> CameraFit<'a> {
     pub fn new(
         camera: CameraModel,
         height_m: f64,
-        base: &'a BasePath<'a>,
+        [base, quiet]: [&'a BasePath<'a>; 2],
         pairs: &'a [FramePair],
     ) -> Self {
         let nuisances = vec![Vector5::zeros(); pairs.len()];
-        Self { camera, height_m, base, pairs, nuisances, sigma_px: 1.0 }
+        Self { camera, height_m, base, quiet, pairs, nuisances, sigma_px: 1.0 }
     }
 
     /// Fits the parameters.
@@ -162,20 +174,14 @@ impl<'a> CameraFit<'a> {
         fit(self, &prior, &mean).ok_or(CameraError::NoSolution)
     }
 
-    /// The motion of `base_link` from the first frame of a pair to the second.
-    fn base_motion(&self, pair: &FramePair, latency_s: f64) -> Option<Pose2> {
-        let from = self.base.at(pair.from_s - latency_s)?;
-        let to = self.base.at(pair.to_s - latency_s)?;
-        Some(from.inverse().compose(&to))
-    }
-
     fn motion(
         &self,
+        base: &BasePath<'_>,
         pair: &FramePair,
         at: &CameraParameters,
         errors: &Vector5<f64>,
     ) -> Option<Motion> {
-        let moved = self.base_motion(pair, at.latency_s)?;
+        let moved = base_motion(base, pair, at.latency_s)?;
         let wrong = Pose3::from_parts(
             Translation3::new(errors[3], errors[4], 0.0),
             UnitQuaternion::from_scaled_axis(Vector3::new(errors[0], errors[1], errors[2])),
@@ -187,7 +193,7 @@ impl<'a> CameraFit<'a> {
 
     /// Standard deviations of the errors of a motion: rotations about x, y and z, and x and y.
     fn motion_sigma(&self, pair: &FramePair, latency_s: f64) -> Option<Vector5<f64>> {
-        let moved = self.base_motion(pair, latency_s)?;
+        let moved = base_motion(self.base, pair, latency_s)?;
         let tilt_rad = TILT_RAD + TILT_RAD_PER_M * moved.x_m.hypot(moved.y_m);
         Some(Vector5::new(tilt_rad, tilt_rad, MOTION_RAD, MOTION_M, MOTION_M))
     }
@@ -196,18 +202,21 @@ impl<'a> CameraFit<'a> {
     fn observe(&self, index: usize, at: &CameraParameters) -> Option<Vec<Observation>> {
         let pair = &self.pairs[index];
         let errors = self.nuisances[index];
-        let here = self.motion(pair, at, &errors)?;
+        let here = self.motion(self.base, pair, at, &errors)?;
         let vector = at.to_vector();
         let mut moved = Vec::with_capacity(PARAMETERS + NUISANCES);
         for (parameter, step) in STEPS.into_iter().enumerate() {
+            let base = if parameter == LATENCY { self.quiet } else { self.base };
             let mut vector = vector.clone();
+            let before = self.motion(base, pair, at, &errors)?;
             vector[parameter] += step;
-            moved.push(self.motion(pair, &CameraParameters::from_vector(&vector), &errors)?);
+            let at = CameraParameters::from_vector(&vector);
+            moved.push([before, self.motion(base, pair, &at, &errors)?]);
         }
         for nuisance in 0..NUISANCES {
             let mut errors = errors;
             errors[nuisance] += NUISANCE_STEP;
-            moved.push(self.motion(pair, at, &errors)?);
+            moved.push([here, self.motion(self.base, pair, at, &errors)?]);
         }
         let observations = pair.matches.iter();
         Some(observations.filter_map(|point| self.linearise_point(point, &here, &moved)).collect())
@@ -217,7 +226,7 @@ impl<'a> CameraFit<'a> {
         &self,
         point: &Match,
         here: &Motion,
-        moved: &[Motion],
+        moved: &[[Motion; 2]],
     ) -> Option<Observation> {
         let fitted = self.distance(point, here)?;
         let mut observation = Observation {
@@ -225,9 +234,9 @@ impl<'a> CameraFit<'a> {
             parameters: SMatrix::zeros(),
             nuisances: SMatrix::zeros(),
         };
-        for (index, motion) in moved.iter().enumerate() {
-            let residual = self.residual(point, motion, fitted.inverse_m)?;
-            let change = residual - fitted.residual;
+        for (index, [before, after]) in moved.iter().enumerate() {
+            let before = self.residual(point, before, fitted.inverse_m)?;
+            let change = self.residual(point, after, fitted.inverse_m)? - before;
             // What a change of the distance undoes is no evidence.
             let free = change - fitted.slope * (fitted.slope.dot(&change) / fitted.stiffness);
             if index < PARAMETERS {
@@ -321,7 +330,7 @@ impl<'a> CameraFit<'a> {
         let rotation = at.mount(self.height_m).rotation;
         let mut points = Vec::new();
         for (pair, errors) in self.pairs.iter().zip(&self.nuisances) {
-            let Some(motion) = self.motion(pair, at, errors) else { continue };
+            let Some(motion) = self.motion(self.base, pair, at, errors) else { continue };
             if motion.t_to_from.translation.vector.norm() < LEAST_PARALLAX_M {
                 continue;
             }
@@ -351,7 +360,8 @@ impl<'a> CameraFit<'a> {
     pub fn spread_px(&self, at: &CameraParameters) -> f64 {
         let mut residuals = Vec::new();
         for index in 0..self.pairs.len() {
-            let Some(here) = self.motion(&self.pairs[index], at, &self.nuisances[index]) else {
+            let Some(here) = self.motion(self.base, &self.pairs[index], at, &self.nuisances[index])
+            else {
                 continue;
             };
             for point in &self.pairs[index].matches {
@@ -499,7 +509,7 @@ mod tests {
             latency_s: 0.0,
         };
         let base = BasePath::new(&wheels, &scans, &known);
-        let mut fit = CameraFit::new(camera(), HEIGHT_M, &base, &pairs);
+        let mut fit = CameraFit::new(camera(), HEIGHT_M, [&base, &base], &pairs);
         let configured = CameraParameters::configured(&hal::camera_mount(0.0, HEIGHT_M, 0.0));
         let found = fit.estimate(&configured).unwrap();
         let error = &found.parameters - truth().to_vector();

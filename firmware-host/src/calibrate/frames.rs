@@ -8,7 +8,7 @@ use runtime::recording::RgbImage;
 use super::klt::{Gray, corners, follow};
 
 /// A pair ends when the robot has driven or rotated this far: far enough for parallax, near enough to find every point again.
-const DISTANCE_M: f64 = 0.12;
+const DISTANCE_M: f64 = 0.3;
 const ROTATION_RAD: f64 = 0.06;
 /// A pair that lasts longer includes a stop, and begins anew, seconds.
 const LONGEST_S: f64 = 2.0;

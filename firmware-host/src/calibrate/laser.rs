@@ -316,7 +316,7 @@ fn residual(
 }
 
 /// The reports of wheels that drove exactly as the scans say.
-fn quiet(path: &[ScanPose], parameters: &LaserParameters) -> WheelPath {
+pub(super) fn quiet(path: &[ScanPose], parameters: &LaserParameters) -> WheelPath {
     let LaserParameters { wheels, t_base_laser, latency_s } = parameters;
     let to_base = t_base_laser.inverse();
     let mut quiet = WheelPath::default();

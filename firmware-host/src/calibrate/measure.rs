@@ -41,7 +41,9 @@ pub fn measure(drive: &Drive, camera: Option<&CameraDrive>) -> Result<Measured> 
     };
     let Some(camera) = camera else { return Ok(measured) };
     let base = BasePath::new(&drive.wheels, &result.path, &result.parameters);
-    if let Err(error) = measure_camera(camera, &base, &mut measured) {
+    let quiet = laser::quiet(&result.path, &result.parameters);
+    let quiet = BasePath::new(&quiet, &result.path, &result.parameters);
+    if let Err(error) = measure_camera(camera, [&base, &quiet], &mut measured) {
         measured.no_camera = Some(error.to_string());
     }
     Ok(measured)
@@ -49,7 +51,7 @@ pub fn measure(drive: &Drive, camera: Option<&CameraDrive>) -> Result<Measured> 
 
 fn measure_camera(
     camera: &CameraDrive,
-    base: &BasePath<'_>,
+    base: [&BasePath<'_>; 2],
     measured: &mut Measured,
 ) -> Result<(), CameraError> {
     let configured = CameraParameters::configured(&camera.t_base_camera);

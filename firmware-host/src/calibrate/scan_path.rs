@@ -4,6 +4,7 @@
 //! that the scan decides alone.
 
 use hal::Pose2;
+use nalgebra::Matrix3;
 use runtime::localization::{LocalizationConfig, LocalizationError, Localizer};
 
 use super::drive::Drive;
@@ -12,6 +13,8 @@ use super::laser::LaserParameters;
 /// Standard deviation of the wheels as a share of their motion: the largest that localization takes.
 const WHEEL_NOISE: f64 = 0.5;
 
+/// A scan is left out when its standard deviation in any direction is this many times the median of all scans.
+const UNCERTAIN: f64 = 3.0;
 /// The velocity is taken over this time at least, seconds, if a scanner does not say how long its sweep is.
 const SHORTEST_SWEEP_S: f64 = 0.02;
 
@@ -22,7 +25,7 @@ pub(super) struct ScanPose {
     pub time_s: f64,
     /// Pose in the frame of the first scan.
     pub pose: Pose2,
-    /// The scan agreed with the scans before it.
+    /// The scan agreed with the scans before it, and showed its position in every direction.
     pub matched: bool,
 }
 
@@ -44,20 +47,40 @@ pub(super) fn match_scans(
     let half_s = 0.5 * (drive.geometry.period_ns as f64 * 1e-9).max(SHORTEST_SWEEP_S);
     let mut by_wheels = ByWheels::new(drive, parameters);
     let mut poses = Vec::with_capacity(drive.scans.len());
+    let mut sigmas_m = Vec::with_capacity(drive.scans.len());
     for timed in &drive.scans {
         let time_s = timed.time_s;
-        // Three reports for each scan, so that its motion is taken out with the velocity during its sweep.
+        // Two reports for each scan, so that its motion is taken out with the velocity during its sweep.
         let begin = by_wheels.at(time_s - half_s);
         let middle = by_wheels.at(time_s);
-        let end = by_wheels.at(time_s + half_s);
         localizer.update(&begin, nanoseconds(time_s - half_s), None);
         let scan = Some((&timed.scan, &middle));
-        let estimate = localizer.update(&end, nanoseconds(time_s + half_s), scan);
+        let estimate = localizer.update(&middle, nanoseconds(time_s), scan);
         localizer.continue_by_wheels();
+        sigmas_m.push(largest_sigma_m(&estimate.covariance));
         let pose = estimate.t_odom_base_at_scan.unwrap_or(estimate.t_odom_base);
         poses.push(ScanPose { time_s, pose, matched: estimate.matched });
     }
+    leave_out_uncertain(&mut poses, &sigmas_m);
     Ok(poses)
+}
+
+/// A scan that is far less certain of its position than others, as along a corridor, follows the wheels there, and would only
+/// confirm them.
+fn leave_out_uncertain(poses: &mut [ScanPose], sigmas_m: &[f64]) {
+    let mut sorted = sigmas_m.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let Some(median_m) = sorted.get(sorted.len() / 2) else { return };
+    for (scan, sigma_m) in poses.iter_mut().zip(sigmas_m) {
+        scan.matched &= *sigma_m <= UNCERTAIN * median_m;
+    }
+}
+
+/// Standard deviation of the position in its least certain direction, metres.
+fn largest_sigma_m(covariance: &Matrix3<f64>) -> f64 {
+    let [xx, xy, yy] = [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]];
+    let half = 0.5 * (xx - yy);
+    (0.5 * (xx + yy) + half.hypot(xy)).max(0.0).sqrt()
 }
 
 /// A second before the drive, so that the first sweep does not begin before time 0.
