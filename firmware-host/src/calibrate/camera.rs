@@ -14,7 +14,7 @@ use nalgebra::{
 use super::base_path::BasePath;
 use super::floor::{LEAST_DOWN, LowPoint};
 use super::frames::{FramePair, Match};
-use super::least_squares::{Block, Estimate, Model, Prior, Weight, fit, tukey};
+use super::least_squares::{Block, Estimate, Model, Prior, Weight, fit, robust_sigma, tukey};
 
 /// Number of parameters, in this order: roll, pitch down, yaw (rad), x, y (m), scale of the focal length, latency (s).
 pub(super) const PARAMETERS: usize = 7;
@@ -28,6 +28,8 @@ const NUISANCE_STEP: f64 = 1e-6;
 const PLAUSIBLE: [f64; PARAMETERS] = [0.2, 0.2, 0.2, 0.2, 0.2, 0.1, 0.2];
 /// Inverse distance of a point in a home: mean and standard deviation, 1/m.
 const INVERSE_DISTANCE: [f64; 2] = [0.4, 0.5];
+/// Standard deviation of an inverse distance that is not fitted, 1/m.
+const FIXED: f64 = 1e-3;
 /// Errors of a known motion. Matched scans, and wheels between them: 2 mm and 2 mrad. The floor tilts a robot that drives; one that rotates on the
 /// spot keeps its tilt. 0.02 rad/m is what a floor according to DIN 18202 does over waves of a metre.
 const MOTION_M: f64 = 0.002;
@@ -132,8 +134,8 @@ pub(super) struct CameraFit<'a> {
     pub quiet: &'a BasePath<'a>,
     pub pairs: &'a [FramePair],
     nuisances: Vec<Vector5<f64>>,
-    /// Robust standard deviation of a point, pixels.
-    pub sigma_px: f64,
+    /// Robust standard deviation of a point of each pair, pixels. A patch that was seen from nearer is followed less exactly.
+    sigmas_px: Vec<f64>,
 }
 
 /// One point of a pair: residual and derivatives after its distance was eliminated.
@@ -148,6 +150,10 @@ struct Observation {
 struct Motion {
     t_to_from: Pose3,
     focal: f64,
+    /// The robot drove: distances of points show.
+    drives: bool,
+    /// Standard deviation of a point, pixels.
+    sigma_px: f64,
 }
 
 impl<'a> CameraFit<'a> {
@@ -158,7 +164,8 @@ impl<'a> CameraFit<'a> {
         pairs: &'a [FramePair],
     ) -> Self {
         let nuisances = vec![Vector5::zeros(); pairs.len()];
-        Self { camera, height_m, base, quiet, pairs, nuisances, sigma_px: 1.0 }
+        let sigmas_px = vec![1.0; pairs.len()];
+        Self { camera, height_m, base, quiet, pairs, nuisances, sigmas_px }
     }
 
     /// Fits the parameters.
@@ -177,10 +184,11 @@ impl<'a> CameraFit<'a> {
     fn motion(
         &self,
         base: &BasePath<'_>,
-        pair: &FramePair,
+        index: usize,
         at: &CameraParameters,
         errors: &Vector5<f64>,
     ) -> Option<Motion> {
+        let pair = &self.pairs[index];
         let moved = base_motion(base, pair, at.latency_s)?;
         let wrong = Pose3::from_parts(
             Translation3::new(errors[3], errors[4], 0.0),
@@ -188,7 +196,12 @@ impl<'a> CameraFit<'a> {
         );
         let t_base_camera = at.mount(self.height_m);
         let t_from_to = t_base_camera.inverse() * moved.to_pose3() * wrong * t_base_camera;
-        Some(Motion { t_to_from: t_from_to.inverse(), focal: at.focal })
+        Some(Motion {
+            t_to_from: t_from_to.inverse(),
+            focal: at.focal,
+            drives: moved.x_m.hypot(moved.y_m) > LEAST_PARALLAX_M,
+            sigma_px: self.sigmas_px[index],
+        })
     }
 
     /// Standard deviations of the errors of a motion: rotations about x, y and z, and x and y.
@@ -202,21 +215,21 @@ impl<'a> CameraFit<'a> {
     fn observe(&self, index: usize, at: &CameraParameters) -> Option<Vec<Observation>> {
         let pair = &self.pairs[index];
         let errors = self.nuisances[index];
-        let here = self.motion(self.base, pair, at, &errors)?;
+        let here = self.motion(self.base, index, at, &errors)?;
         let vector = at.to_vector();
         let mut moved = Vec::with_capacity(PARAMETERS + NUISANCES);
         for (parameter, step) in STEPS.into_iter().enumerate() {
             let base = if parameter == LATENCY { self.quiet } else { self.base };
             let mut vector = vector.clone();
-            let before = self.motion(base, pair, at, &errors)?;
+            let before = self.motion(base, index, at, &errors)?;
             vector[parameter] += step;
             let at = CameraParameters::from_vector(&vector);
-            moved.push([before, self.motion(base, pair, &at, &errors)?]);
+            moved.push([before, self.motion(base, index, &at, &errors)?]);
         }
         for nuisance in 0..NUISANCES {
             let mut errors = errors;
             errors[nuisance] += NUISANCE_STEP;
-            moved.push([here, self.motion(self.base, pair, at, &errors)?]);
+            moved.push([here, self.motion(self.base, index, at, &errors)?]);
         }
         let observations = pair.matches.iter();
         Some(observations.filter_map(|point| self.linearise_point(point, &here, &moved)).collect())
@@ -252,7 +265,9 @@ impl<'a> CameraFit<'a> {
     fn distance(&self, point: &Match, motion: &Motion) -> Option<Fitted> {
         const STEP: f64 = 1e-5;
         let [mean, spread] = INVERSE_DISTANCE;
-        let prior = (self.sigma_px / spread).powi(2);
+        // Without parallax a fitted distance would only explain noise, and the more of it the farther the camera is from the axle.
+        let spread = if motion.drives { spread } else { FIXED };
+        let prior = (motion.sigma_px / spread).powi(2);
         let mut inverse_m = mean;
         let mut fitted = None;
         for _ in 0..4 {
@@ -272,7 +287,7 @@ impl<'a> CameraFit<'a> {
             fy: self.camera.fy * motion.focal,
             ..self.camera
         };
-        let Motion { t_to_from, focal } = motion;
+        let Motion { t_to_from, focal, .. } = motion;
         let rotated = t_to_from.rotation * self.ray(point.from, *focal);
         let there = rotated + t_to_from.translation.vector * inverse_m;
         let (u, v) = camera.project(&there.into())?;
@@ -280,23 +295,24 @@ impl<'a> CameraFit<'a> {
     }
 
     /// A point's robust weight.
-    fn weight(&self, residual: &Vector2<f64>) -> Weight {
-        tukey(residual.norm() / self.sigma_px)
+    fn weight(residual: &Vector2<f64>, sigma_px: f64) -> Weight {
+        tukey(residual.norm() / sigma_px)
     }
 
     /// Takes one step towards the errors of a motion that fit best.
     fn correct_motion(&mut self, index: usize, at: &CameraParameters) {
         let Some(observations) = self.observe(index, at) else { return };
         let Some(sigma) = self.motion_sigma(&self.pairs[index], at.latency_s) else { return };
-        let reduced = self.reduce(&observations, &self.nuisances[index], &sigma);
+        let reduced =
+            Self::reduce(&observations, self.sigmas_px[index], &self.nuisances[index], &sigma);
         if let Some(inverse) = reduced.nuisance_hessian.try_inverse() {
             self.nuisances[index] -= inverse * reduced.nuisance_gradient;
         }
     }
 
     fn reduce(
-        &self,
         observations: &[Observation],
+        sigma_px: f64,
         errors: &Vector5<f64>,
         sigma: &Vector5<f64>,
     ) -> Reduced {
@@ -311,8 +327,8 @@ impl<'a> CameraFit<'a> {
             slopes: 0.0,
         };
         for observation in observations {
-            let Weight { weight, slope } = self.weight(&observation.residual);
-            let scaled = weight / (self.sigma_px * self.sigma_px);
+            let Weight { weight, slope } = Self::weight(&observation.residual, sigma_px);
+            let scaled = weight / (sigma_px * sigma_px);
             let Observation { residual, parameters, nuisances } = observation;
             sums.hessian += parameters.transpose() * parameters * scaled;
             sums.mixed += parameters.transpose() * nuisances * scaled;
@@ -329,9 +345,10 @@ impl<'a> CameraFit<'a> {
     pub fn low_points(&self, at: &CameraParameters) -> Vec<LowPoint> {
         let rotation = at.mount(self.height_m).rotation;
         let mut points = Vec::new();
-        for (pair, errors) in self.pairs.iter().zip(&self.nuisances) {
-            let Some(motion) = self.motion(self.base, pair, at, errors) else { continue };
-            if motion.t_to_from.translation.vector.norm() < LEAST_PARALLAX_M {
+        for (index, pair) in self.pairs.iter().enumerate() {
+            let errors = &self.nuisances[index];
+            let Some(motion) = self.motion(self.base, index, at, errors) else { continue };
+            if !motion.drives {
                 continue;
             }
             for point in &pair.matches {
@@ -340,8 +357,8 @@ impl<'a> CameraFit<'a> {
                     continue;
                 }
                 let Some(fitted) = self.distance(point, &motion) else { continue };
-                if self.weight(&fitted.residual).weight > 0.0 {
-                    let sigma = self.sigma_px / fitted.stiffness.sqrt();
+                if Self::weight(&fitted.residual, motion.sigma_px).weight > 0.0 {
+                    let sigma = motion.sigma_px / fitted.stiffness.sqrt();
                     let inverse_m = fitted.inverse_m;
                     points.push(LowPoint { time_s: pair.to_s, down, inverse_m, sigma });
                 }
@@ -356,19 +373,22 @@ impl<'a> CameraFit<'a> {
         Vector3::new(ray.x / focal, ray.y / focal, 1.0)
     }
 
+    /// How far the points of a pair are from where they should be, pixels.
+    fn distances_px(&self, index: usize, at: &CameraParameters) -> Vec<f64> {
+        let Some(here) = self.motion(self.base, index, at, &self.nuisances[index]) else {
+            return Vec::new();
+        };
+        let points = self.pairs[index].matches.iter();
+        points.filter_map(|point| Some(self.distance(point, &here)?.residual.norm())).collect()
+    }
+
     /// Robust standard deviation of all points at these parameters, pixels.
     pub fn spread_px(&self, at: &CameraParameters) -> f64 {
-        let mut residuals = Vec::new();
+        let mut all = Vec::new();
         for index in 0..self.pairs.len() {
-            let Some(here) = self.motion(self.base, &self.pairs[index], at, &self.nuisances[index])
-            else {
-                continue;
-            };
-            for point in &self.pairs[index].matches {
-                residuals.extend(self.distance(point, &here).map(|fitted| fitted.residual.norm()));
-            }
+            all.extend(self.distances_px(index, at));
         }
-        super::least_squares::robust_sigma(&mut residuals).unwrap_or(LEAST_SIGMA_PX)
+        robust_sigma(&mut all).unwrap_or(LEAST_SIGMA_PX)
     }
 }
 
@@ -408,15 +428,18 @@ impl Reduced {
 impl Model for CameraFit<'_> {
     fn linearise(&mut self, parameters: &DVector<f64>) -> Vec<Block> {
         let at = CameraParameters::from_vector(parameters);
-        self.sigma_px = self.spread_px(&at).max(LEAST_SIGMA_PX);
         let last_s = self.pairs.last().map_or(0.0, |pair| pair.to_s);
         let mut blocks = vec![Block::empty(PARAMETERS); (last_s / BLOCK_S) as usize + 1];
         for index in 0..self.pairs.len() {
+            let mut distances_px = self.distances_px(index, &at);
+            let sigma_px = robust_sigma(&mut distances_px).unwrap_or(LEAST_SIGMA_PX);
+            self.sigmas_px[index] = sigma_px.max(LEAST_SIGMA_PX);
             self.correct_motion(index, &at);
             let Some(observations) = self.observe(index, &at) else { continue };
             let pair = &self.pairs[index];
             let Some(sigma) = self.motion_sigma(pair, at.latency_s) else { continue };
-            let reduced = self.reduce(&observations, &self.nuisances[index], &sigma);
+            let reduced =
+                Self::reduce(&observations, self.sigmas_px[index], &self.nuisances[index], &sigma);
             reduced.add_to(&mut blocks[(pair.to_s.max(0.0) / BLOCK_S) as usize]);
         }
         blocks
