@@ -8,6 +8,9 @@ const WINDOW: usize = 25;
 /// A scan that was noted later than this share of a period after its neighbours' rhythm follows a pause, not a delay.
 const LARGEST_SHARE: f64 = 0.75;
 
+/// Share of a delay by which the expected rhythm follows it.
+const FOLLOW: f64 = 0.1;
+
 /// The times of evenly spaced scans. `times_s` are in order, seconds.
 pub(super) fn regular(times_s: &[f64]) -> Vec<f64> {
     let mut steps_s: Vec<f64> = times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -20,10 +23,15 @@ pub(super) fn regular(times_s: &[f64]) -> Vec<f64> {
     let mut rotation = 0.0;
     let mut delays_s = vec![0.0];
     let mut rotations = vec![0.0];
-    for pair in times_s.windows(2) {
-        rotation += ((pair[1] - pair[0]) / period_s).round().max(1.0);
+    // Two neighbours may be noted late and early by more than half a period together, but none is that far from the rhythm.
+    let mut rhythm_s = times_s[0];
+    for time_s in &times_s[1..] {
+        let passed = ((time_s - rhythm_s) / period_s).round().max(1.0);
+        rhythm_s += passed * period_s;
+        rhythm_s += FOLLOW * (time_s - rhythm_s);
+        rotation += passed;
         rotations.push(rotation);
-        delays_s.push(pair[1] - times_s[0] - rotation * period_s);
+        delays_s.push(time_s - times_s[0] - rotation * period_s);
     }
     let mut regular = Vec::with_capacity(times_s.len());
     for (index, time_s) in times_s.iter().enumerate() {
