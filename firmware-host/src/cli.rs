@@ -63,6 +63,12 @@ pub enum Command {
     ///
     /// The latency is the time from the capture of a frame to its time stamp.
     CameraLatency(CameraLatencyArgs),
+    /// Measure wheels, mounts and latencies from a recorded drive, and write calibration.toml.
+    ///
+    /// Any drive with scans will do; two minutes in which the robot drives straight, in arcs and
+    /// rotates both ways among walls are best. Nothing moves. Exits with 1 and writes nothing if a
+    /// result is implausible or the drive shows too little.
+    Calibrate(CalibrateArgs),
     /// Localize along a recorded log of another robot and write its trajectory.
     ///
     /// Reads CARMEN logs (FLASER, ODOM, ROBOTLASER1) and the .dat form of a URG-04LX, compressed by
@@ -339,6 +345,27 @@ pub struct PerceiveArgs {
     #[arg(long, value_name = "DIR")]
     pub dump: Option<PathBuf>,
     /// Configuration file. `firmware-host check` prints all keys with their defaults.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+}
+
+/// Arguments of `firmware-host calibrate`.
+#[derive(Debug, Args)]
+#[command(group = ArgGroup::new("drive").required(true))]
+pub struct CalibrateArgs {
+    /// Recorded run: the --out folder of a run, or one .mcap file.
+    #[arg(long, value_name = "RUN", group = "drive")]
+    pub recording: Option<PathBuf>,
+    /// Log of another robot: a CARMEN log or the .dat form of a URG-04LX, compressed by gzip or not.
+    /// It has no frames. Prints what is found and writes nothing without --out.
+    #[arg(long, value_name = "FILE", group = "drive")]
+    pub log: Option<PathBuf>,
+    /// File to write; its name goes into the robot's configuration as `calibration` [default:
+    /// calibration.toml beside --config].
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Configuration file of the robot, with which the result is compared [default: the configuration
+    /// in the recording].
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
 }

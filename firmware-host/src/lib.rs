@@ -7,6 +7,7 @@
 pub mod output;
 
 pub mod buffer;
+pub mod calibrate;
 pub mod camera_latency;
 pub mod check;
 pub mod cli;

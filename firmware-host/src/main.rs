@@ -8,8 +8,8 @@ use clap::Parser;
 use firmware_host::cli::{Cli, Command as Subcommand, TaskArgs};
 use firmware_host::config::ConfigError;
 use firmware_host::{
-    buffer, camera_latency, check, failure, health, init, localize, logging, manual, map, model,
-    output, perceive, replay_run, reproduce, run, task,
+    buffer, calibrate, camera_latency, check, failure, health, init, localize, logging, manual,
+    map, model, output, perceive, replay_run, reproduce, run, task,
 };
 #[cfg(feature = "simulator")]
 use firmware_host::{explore, views};
@@ -37,6 +37,7 @@ fn main() -> ExitCode {
         Subcommand::Init(args) => init::run(&args),
         Subcommand::Check(args) => check::run(&args),
         Subcommand::CameraLatency(args) => camera_latency::run(&args).map(|()| ExitCode::SUCCESS),
+        Subcommand::Calibrate(args) => calibrate::run(&args).map(|()| ExitCode::SUCCESS),
         Subcommand::Localize(args) => localize::run(&args).map(|()| ExitCode::SUCCESS),
         Subcommand::Map(args) => map::run(&args).map(|()| ExitCode::SUCCESS),
         Subcommand::GoTo(args) => {

@@ -4,6 +4,7 @@
 
 mod accuracy;
 mod bench;
+mod calibration;
 mod command;
 mod coverage;
 mod data_loop;
@@ -82,6 +83,18 @@ enum Chore {
     /// without `../shared/data/lidar` it says so and does nothing.
     Localization {
         /// Write the table to docs/data/localization.json and docs/localization.md.
+        #[arg(long)]
+        update: bool,
+    },
+    /// Drive simulated robots whose configuration is wrong, calibrate them, and print the errors.
+    Calibration {
+        /// Calibrate the cameras too, from rendered frames. Takes far longer.
+        #[arg(long)]
+        frames: bool,
+        /// Number of robots.
+        #[arg(long, default_value_t = 30)]
+        robots: u64,
+        /// Write the tables to docs/data/calibration.json and docs/calibration.md.
         #[arg(long)]
         update: bool,
     },
@@ -185,6 +198,9 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Bench { json, update, filter } => bench::run(*json, *update, filter.as_deref()),
         Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Localization { update } => localization::run(*update),
+        Chore::Calibration { robots, frames, update } => {
+            calibration::run(*robots, *frames, *update)
+        }
         Chore::Policies { frames, seeds, update } => policies::run(*frames, *seeds, *update),
         Chore::Odometry { frames, seeds, scene, update } => {
             odometry::run(*frames, *seeds, scene, *update)

@@ -3,7 +3,7 @@
 use hal::settings::OutOfRange;
 use serde::{Deserialize, Serialize};
 
-use super::error::CanError;
+use super::error::{CanError, Side};
 use super::protocol::MotorProtocol;
 use super::protocol::cia402::{Cia402, Cia402Node};
 use super::protocol::odrive::{Odrive, OdriveNode};
@@ -54,6 +54,10 @@ hal::settings! {
         invert_right: bool = false;
         /// Radius of the driven wheels.
         wheel_radius_m: f64 = 0.05, in 0.005..=1.0, unit "m";
+        /// Radius of the left wheel by `wheel_radius_m`. `firmware-host calibrate` measures it.
+        left_radius_scale: f64 = 1.0, in 0.5..=2.0;
+        /// Radius of the right wheel by `wheel_radius_m`. `firmware-host calibrate` measures it.
+        right_radius_scale: f64 = 1.0, in 0.5..=2.0;
         /// Distance between the contact points of the two wheels.
         track_m: f64 = 0.24, in 0.03..=3.0, unit "m";
         /// Revolutions of the motor per revolution of the wheel.
@@ -192,6 +196,16 @@ impl OdriveConfig {
 }
 
 impl BaseConfig {
+    /// Radius of one wheel, metres.
+    #[must_use]
+    pub fn radius_m(&self, side: Side) -> f64 {
+        let scale = match side {
+            Side::Left => self.left_radius_scale,
+            Side::Right => self.right_radius_scale,
+        };
+        scale * self.wheel_radius_m
+    }
+
     /// Checks every value, and the values together.
     ///
     /// # Errors

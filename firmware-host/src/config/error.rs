@@ -19,6 +19,15 @@ pub enum ConfigError {
         /// Line, column, the line itself and what was expected there.
         message: String,
     },
+    /// `calibration` is not the name of a file.
+    #[error("`calibration` in {} line {line} is not the name of a file in quotes, as in calibration = \"calibration.toml\"", path.display())]
+    CalibrationKey { path: PathBuf, line: usize },
+    /// The file of measured values cannot be read.
+    #[error(
+        "cannot read the calibration {}, which {} names: {source}; `firmware-host calibrate` writes it; without one, remove the line `calibration`",
+        path.display(), named_by.display()
+    )]
+    NoCalibration { path: PathBuf, named_by: PathBuf, source: std::io::Error },
     /// The file has unknown keys or values that are not allowed.
     #[error("{}", list(path, problems))]
     Refused {

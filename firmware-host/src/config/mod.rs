@@ -4,6 +4,7 @@
 //! file, `robot.default.toml` and `docs/configuration.md` follow from the declarations. An unknown key is refused with a
 //! suggestion and a value out of range with its range, so that a typing error never becomes a silent default.
 
+pub mod calibration;
 mod check;
 mod devices;
 mod error;
@@ -67,14 +68,27 @@ hal::settings! {
 }
 
 impl Config {
-    /// Reads a file. Keys that are absent from it keep their defaults.
+    /// Reads a file, and the file of measured values that it names ([`calibration`]). Keys that are absent from both keep their
+    /// defaults.
     ///
     /// # Errors
-    /// When the file cannot be read, is not TOML, has an unknown key, or has a value that is not allowed.
+    /// When a file cannot be read, is not TOML, has an unknown key, or has a value that is not allowed.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| ConfigError::Unreadable { path: path.to_path_buf(), source })?;
-        Self::parse(&text, path)
+        let mut document =
+            toml::de::DeTable::parse(&text).map_err(|error| ConfigError::not_toml(path, &error))?;
+        let Some(measured) = calibration::take(document.get_mut(), path, &text)? else {
+            return Self::parse(&text, path);
+        };
+        refuse_if_any(check::file(document.get_ref(), &text), path)?;
+        let not_toml = |error| ConfigError::not_toml(path, &error);
+        let mut table: toml::Table = text.parse().map_err(not_toml)?;
+        table.remove(calibration::KEY);
+        calibration::overlay(&mut table, calibration::read(&measured, path)?);
+        let config: Self = table.try_into().map_err(not_toml)?;
+        refuse_if_any(check::together(&config), path)?;
+        Ok(config)
     }
 
     /// Parses the text of a file. `path` only names it in errors.

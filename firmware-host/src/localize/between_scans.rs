@@ -66,6 +66,7 @@ mod tests {
         Log {
             geometry: ScanGeometry::UTM_30LX,
             t_base_laser: Pose2::IDENTITY,
+            wheels: None,
             odometry: Odometry::Lines,
             lines: lines.collect(),
             other_shape: 0,

@@ -53,11 +53,20 @@ impl std::fmt::Display for Odometry {
     }
 }
 
+/// The wheels that a log's odometry was computed with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LogWheels {
+    pub radius_m: f64,
+    pub track_m: f64,
+}
+
 /// A whole log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Log {
     pub geometry: ScanGeometry,
     pub t_base_laser: Pose2,
+    /// `None` if the log does not say.
+    pub wheels: Option<LogWheels>,
     pub odometry: Odometry,
     pub lines: Vec<Line>,
     /// Scans with another number of beams than the first one. Their lines have no ranges.

@@ -8,11 +8,12 @@ use std::f64::consts::PI;
 
 use hal::{Pose2, Range, ScanGeometry};
 
-use super::log::{BadLine, Line, Log, Odometry, Words};
+use super::log::{BadLine, Line, Log, LogWheels, Odometry, Words};
 
 const HEADER: usize = 25;
 const BEAMS: usize = 682;
-const METRES_PER_COUNT: f64 = 0.077 * PI / 2000.0;
+const WHEEL_RADIUS_M: f64 = 0.077;
+const METRES_PER_COUNT: f64 = WHEEL_RADIUS_M * PI / 2000.0;
 const TRACK_M: f64 = 0.33;
 const LASER_FORWARD_M: f64 = 0.145;
 
@@ -24,7 +25,7 @@ const GEOMETRY: ScanGeometry = ScanGeometry {
     range_min_m: 0.02,
     range_max_m: 4.095,
     // The log's times are those of arrival, so that nothing is known about the times of beams.
-    period_ns: 0,
+    period_ns: 100_000_000,
 };
 
 /// The first line with content begins with a number and has a column for every range.
@@ -68,7 +69,8 @@ pub(super) fn parse(text: &[u8]) -> Result<Option<Log>, BadLine> {
     }
     let t_base_laser = Pose2::new(LASER_FORWARD_M, 0.0, 0.0);
     let odometry = Odometry::Lines;
-    let log = Log { geometry: GEOMETRY, t_base_laser, odometry, lines, other_shape: 0 };
+    let wheels = Some(LogWheels { radius_m: WHEEL_RADIUS_M, track_m: TRACK_M });
+    let log = Log { geometry: GEOMETRY, t_base_laser, wheels, odometry, lines, other_shape: 0 };
     Ok((!log.lines.is_empty()).then_some(log))
 }
 

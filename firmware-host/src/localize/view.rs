@@ -126,6 +126,7 @@ mod tests {
         let log = Log {
             geometry,
             t_base_laser: Pose2::IDENTITY,
+            wheels: None,
             odometry: Odometry::Lines,
             lines: vec![line(None), line(Some(vec![Range::Hit(2.0)]))],
             other_shape: 0,

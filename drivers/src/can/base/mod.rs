@@ -303,7 +303,7 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
     }
 
     fn check_standing(&self, side: Side, motor: &MotorStatus) -> Result<(), CanError> {
-        let speed_mps = self.at_rim(motor.velocity_radps).abs();
+        let speed_mps = self.at_rim(side, motor.velocity_radps).abs();
         if speed_mps > STANDING_MPS { Err(CanError::Moving { side, speed_mps }) } else { Ok(()) }
     }
 
@@ -334,8 +334,8 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
 
     /// Converts an angle or velocity of the motor's shaft to the wheel's rim: rad to m, rad/s to
     /// m/s.
-    fn at_rim(&self, shaft: f64) -> f64 {
-        shaft / self.config.gear_ratio * self.config.wheel_radius_m
+    fn at_rim(&self, side: Side, shaft: f64) -> f64 {
+        shaft / self.config.gear_ratio * self.config.radius_m(side)
     }
 
     fn signs(&self) -> Wheels {
@@ -363,12 +363,12 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         }
         let [left_sign, right_sign] = self.signs();
         let position_m = [
-            left_sign * self.at_rim(left.position_rad),
-            right_sign * self.at_rim(right.position_rad),
+            left_sign * self.at_rim(Side::Left, left.position_rad),
+            right_sign * self.at_rim(Side::Right, right.position_rad),
         ];
         let velocity_mps = [
-            left_sign * self.at_rim(left.velocity_radps),
-            right_sign * self.at_rim(right.velocity_radps),
+            left_sign * self.at_rim(Side::Left, left.velocity_radps),
+            right_sign * self.at_rim(Side::Right, right.velocity_radps),
         ];
         self.twist = self.kinematics.twist(velocity_mps);
         let elapsed_s = (time_ns - self.feedback_ns) as f64 * 1e-9;
@@ -545,10 +545,14 @@ impl<B: CanBus, C: Clock> DifferentialBase<B, C> {
         let twist =
             self.limiter.step(&target, elapsed_ns.max(1) as f64 * 1e-9).unwrap_or(Twist2::ZERO);
         self.wheels_mps = self.kinematics.wheels(&twist);
-        let per_metre = self.config.gear_ratio / self.config.wheel_radius_m;
-        let signs = self.signs();
-        for ((motor, wheel_mps), sign) in self.motors.iter_mut().zip(self.wheels_mps).zip(signs) {
-            motor.set_velocity(sign * wheel_mps * per_metre);
+        let [left_m, right_m] = [Side::Left, Side::Right].map(|side| self.config.radius_m(side));
+        let [left_sign, right_sign] = self.signs();
+        let gear_ratio = self.config.gear_ratio;
+        let per_metre = [left_sign * gear_ratio / left_m, right_sign * gear_ratio / right_m];
+        for ((motor, wheel_mps), per_metre) in
+            self.motors.iter_mut().zip(self.wheels_mps).zip(per_metre)
+        {
+            motor.set_velocity(wheel_mps * per_metre);
         }
     }
 

@@ -1,0 +1,116 @@
+//! Points that were followed from one frame to a later one.
+
+use anyhow::Result;
+use hal::{CameraModel, ImageView, Pose2, wrap_angle};
+use runtime::perception::flow::{DenseFlow, FlowPreset};
+use runtime::recording::RgbImage;
+
+use super::klt::{Gray, corners, follow};
+
+/// A pair ends when the robot has driven or rotated this far: far enough for parallax, near enough to find every point again.
+const DISTANCE_M: f64 = 0.3;
+const ROTATION_RAD: f64 = 0.06;
+/// A pair that lasts longer includes a stop, and begins anew, seconds.
+const LONGEST_S: f64 = 2.0;
+/// One point is followed in each square of this side, pixels.
+const CELL_PX: usize = 16;
+/// A point that is followed there and back must come back within this distance, pixels.
+const BACK_PX: f32 = 0.3;
+/// Pairs with fewer points are left out.
+const LEAST_MATCHES: usize = 20;
+
+/// The same point in both frames of a pair, pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Match {
+    pub from: [f64; 2],
+    pub to: [f64; 2],
+}
+
+/// Two frames with the points that both show.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct FramePair {
+    /// Stamps of the frames, seconds.
+    pub from_s: f64,
+    pub to_s: f64,
+    pub matches: Vec<Match>,
+}
+
+/// A frame that later ones are compared with.
+struct Kept {
+    time_s: f64,
+    odom: Pose2,
+    image: RgbImage,
+}
+
+/// Compares each frame with one that was taken a little earlier from another place.
+pub(super) struct FrameMatcher {
+    flow: DenseFlow,
+    kept: Option<Kept>,
+    pub pairs: Vec<FramePair>,
+}
+
+impl FrameMatcher {
+    /// A matcher for frames of `camera`.
+    ///
+    /// # Errors
+    /// A camera that is too small for optical flow.
+    pub fn new(camera: &CameraModel) -> Result<Self> {
+        let flow = DenseFlow::new(FlowPreset::Fast, camera.width, camera.height)?;
+        Ok(Self { flow, kept: None, pairs: Vec::new() })
+    }
+
+    fn compare(&mut self, kept: &Kept, time_s: f64, frame: &RgbImage) -> Result<()> {
+        let RgbImage { width, height, .. } = *frame;
+        let from = ImageView::rgb8(width, height, &kept.image.rgb)?;
+        let to = ImageView::rgb8(width, height, &frame.rgb)?;
+        let flow = self.flow.flow(from, to)?;
+        let [from, to] = [&kept.image.rgb, &frame.rgb].map(|rgb| Gray::of_rgb(width, height, rgb));
+        let mut matches = Vec::new();
+        for [x, y] in corners(&from, CELL_PX) {
+            let [dx, dy] = flow.values()[y as usize * width + x as usize];
+            matches.extend(there_and_back(&from, &to, [x, y], [dx, dy]));
+        }
+        if matches.len() >= LEAST_MATCHES {
+            self.pairs.push(FramePair { from_s: kept.time_s, to_s: time_s, matches });
+        }
+        Ok(())
+    }
+}
+
+/// Follows a point, and its nearest whole pixel back.
+fn there_and_back(from: &Gray, to: &Gray, at: [i32; 2], flow: [f32; 2]) -> Option<Match> {
+    let begin = at.map(|coordinate| coordinate as f32);
+    let there = follow(from, to, at, [begin[0] + flow[0], begin[1] + flow[1]])?;
+    let whole = there.map(f32::round);
+    let moved = [there[0] - begin[0], there[1] - begin[1]];
+    let guess = [whole[0] - moved[0], whole[1] - moved[1]];
+    let back = follow(to, from, whole.map(|coordinate| coordinate as i32), guess)?;
+    let off = [back[0] + moved[0] - whole[0], back[1] + moved[1] - whole[1]];
+    let is_same = off[0].hypot(off[1]) < BACK_PX;
+    is_same.then(|| Match { from: begin.map(f64::from), to: there.map(f64::from) })
+}
+
+impl FrameMatcher {
+    /// Takes the next frame, its time in seconds, and the pose by the wheels at that time.
+    ///
+    /// # Errors
+    /// A frame of another size than the camera's.
+    pub fn see(&mut self, time_s: f64, odom: &Pose2, frame: &RgbImage) -> Result<()> {
+        let Some(kept) = self.kept.take() else {
+            self.kept = Some(Kept { time_s, odom: *odom, image: frame.clone() });
+            return Ok(());
+        };
+        let is_far = kept.odom.distance_m(odom) >= DISTANCE_M
+            || wrap_angle(odom.yaw_rad - kept.odom.yaw_rad).abs() >= ROTATION_RAD;
+        if is_far && time_s - kept.time_s <= LONGEST_S {
+            self.compare(&kept, time_s, frame)?;
+        }
+        let ends = is_far || time_s - kept.time_s > LONGEST_S;
+        self.kept = if ends {
+            Some(Kept { time_s, odom: *odom, image: frame.clone() })
+        } else {
+            Some(kept)
+        };
+        Ok(())
+    }
+}
