@@ -5,37 +5,25 @@ use anyhow::Result;
 use crate::command;
 use crate::tables::{self, Table};
 
-/// Tables and the lengths of their drives: seconds, and seconds with frames.
-const TABLES: [(&str, &str, &str); 2] =
-    [("two-minutes", "120", "120"), ("five-minutes", "300", "0")];
+/// Length of each drive, seconds.
+const SECONDS: &str = "120";
+/// Name of the table in `docs/data/calibration.json` and `docs/calibration.md`.
+const TABLE: &str = "two-minutes";
 
-/// Measures all robots in release, and writes the tables to the documents if `update`.
-pub fn run(robots: u64, update: bool) -> Result<()> {
-    for (name, seconds, frames) in TABLES {
-        let mut calibration = command::cargo();
-        calibration.args([
-            "run",
-            "--release",
-            "--quiet",
-            "--locked",
-            "--package",
-            "calibration",
-            "--",
-        ]);
-        calibration.args([
-            "--robots",
-            &robots.to_string(),
-            "--seconds",
-            seconds,
-            "--frames",
-            frames,
-        ]);
-        let printed = command::output(&mut calibration)?;
-        print!("{printed}");
-        if update {
-            let made_by = "cargo xtask calibration --update";
-            tables::update("calibration", name, made_by, &Table::printed(&printed)?)?;
-        }
+/// Measures all robots in release, and writes the table to the documents if `update`.
+pub fn run(robots: u64, frames: bool, update: bool) -> Result<()> {
+    let robots = robots.to_string();
+    let with_frames = if frames { SECONDS } else { "0" };
+    let mut calibration = command::cargo();
+    calibration
+        .args(["run", "--release", "--quiet", "--locked", "--package", "calibration", "--"])
+        .args(["--robots", &robots, "--seconds", SECONDS, "--frames", with_frames]);
+    let printed = command::output(&mut calibration)?;
+    print!("{printed}");
+    if update {
+        let cameras = if frames { " --frames" } else { "" };
+        let made_by = format!("cargo xtask calibration --robots {robots}{cameras} --update");
+        tables::update("calibration", TABLE, &made_by, &Table::printed(&printed)?)?;
     }
     Ok(())
 }

@@ -88,6 +88,9 @@ enum Chore {
     },
     /// Drive simulated robots whose configuration is wrong, calibrate them, and print the errors.
     Calibration {
+        /// Calibrate the cameras too, from rendered frames. Takes far longer.
+        #[arg(long)]
+        frames: bool,
         /// Number of robots.
         #[arg(long, default_value_t = 30)]
         robots: u64,
@@ -195,7 +198,9 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Bench { json, update, filter } => bench::run(*json, *update, filter.as_deref()),
         Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Localization { update } => localization::run(*update),
-        Chore::Calibration { robots, update } => calibration::run(*robots, *update),
+        Chore::Calibration { robots, frames, update } => {
+            calibration::run(*robots, *frames, *update)
+        }
         Chore::Policies { frames, seeds, update } => policies::run(*frames, *seeds, *update),
         Chore::Odometry { frames, seeds, scene, update } => {
             odometry::run(*frames, *seeds, scene, *update)

@@ -48,19 +48,16 @@ impl Drive {
             track_m: wheels_of_log.map_or(UNKNOWN_TRACK_M, |wheels| wheels.track_m),
             t_base_laser: log.t_base_laser,
         };
+        let geometry = ScanGeometry { period_ns: log.sweep_ns, ..log.geometry };
         let begin_s = log.lines.first().map_or(0.0, |line| line.time_s);
-        let mut drive = Self {
-            configured,
-            geometry: log.geometry,
-            wheels: WheelPath::default(),
-            scans: Vec::new(),
-        };
+        let mut drive =
+            Self { configured, geometry, wheels: WheelPath::default(), scans: Vec::new() };
         for line in &log.lines {
             let time_s = line.time_s - begin_s;
             drive.wheels.push(time_s, &line.wheel, configured.track_m);
             if let Some(ranges) = &line.ranges {
                 let time_ns = (time_s.max(0.0) * 1e9) as u64;
-                let scan = LaserScan { time_ns, geometry: log.geometry, ranges: ranges.clone() };
+                let scan = LaserScan { time_ns, geometry, ranges: ranges.clone() };
                 drive.scans.push(TimedScan { time_s, scan });
             }
         }

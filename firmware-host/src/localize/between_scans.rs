@@ -66,6 +66,7 @@ mod tests {
         Log {
             geometry: ScanGeometry::UTM_30LX,
             t_base_laser: Pose2::IDENTITY,
+            sweep_ns: 0,
             wheels: None,
             odometry: Odometry::Lines,
             lines: lines.collect(),

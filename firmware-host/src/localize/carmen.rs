@@ -154,7 +154,7 @@ fn assemble(entries: Vec<Entry>) -> Option<Log> {
         Line { time_s: entry.time_s, wheel, ranges: ranges.map(to_ranges) }
     });
     let lines = lines.collect();
-    Some(Log { geometry, t_base_laser, wheels: None, odometry, lines, other_shape })
+    Some(Log { geometry, sweep_ns: 0, t_base_laser, wheels: None, odometry, lines, other_shape })
 }
 
 impl Entry {

@@ -64,6 +64,9 @@ pub struct LogWheels {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Log {
     pub geometry: ScanGeometry,
+    /// Time that the scanner takes for the beams of a scan; 0 if the log does not say. Localization does not use it, because the
+    /// times of the scans are not known well enough; `calibrate` evens them out first.
+    pub sweep_ns: u64,
     pub t_base_laser: Pose2,
     /// `None` if the log does not say.
     pub wheels: Option<LogWheels>,

@@ -35,6 +35,7 @@ mod tests {
         let log = Log {
             geometry: ScanGeometry::UTM_30LX,
             t_base_laser: Pose2::IDENTITY,
+            sweep_ns: 0,
             wheels: None,
             odometry: Odometry::Lines,
             lines: vec![line(1.5), line(0.0)],

@@ -25,8 +25,11 @@ const GEOMETRY: ScanGeometry = ScanGeometry {
     range_min_m: 0.02,
     range_max_m: 4.095,
     // The log's times are those of arrival, so that nothing is known about the times of beams.
-    period_ns: 100_000_000,
+    period_ns: 0,
 };
+
+/// One rotation of the motor.
+const SWEEP_NS: u64 = 100_000_000;
 
 /// The first line with content begins with a number and has a column for every range.
 pub(super) fn is_urg(text: &[u8]) -> bool {
@@ -70,7 +73,15 @@ pub(super) fn parse(text: &[u8]) -> Result<Option<Log>, BadLine> {
     let t_base_laser = Pose2::new(LASER_FORWARD_M, 0.0, 0.0);
     let odometry = Odometry::Lines;
     let wheels = Some(LogWheels { radius_m: WHEEL_RADIUS_M, track_m: TRACK_M });
-    let log = Log { geometry: GEOMETRY, t_base_laser, wheels, odometry, lines, other_shape: 0 };
+    let log = Log {
+        geometry: GEOMETRY,
+        sweep_ns: SWEEP_NS,
+        t_base_laser,
+        wheels,
+        odometry,
+        lines,
+        other_shape: 0,
+    };
     Ok((!log.lines.is_empty()).then_some(log))
 }
 

@@ -126,6 +126,7 @@ mod tests {
         let log = Log {
             geometry,
             t_base_laser: Pose2::IDENTITY,
+            sweep_ns: 0,
             wheels: None,
             odometry: Odometry::Lines,
             lines: vec![line(None), line(Some(vec![Range::Hit(2.0)]))],
