@@ -35,6 +35,22 @@ impl Default for CameraMount {
 }
 
 impl CameraMount {
+    /// The mount whose pose is `t_base_camera`. A camera that points straight up or down has no yaw.
+    #[must_use]
+    pub fn of(t_base_camera: &Pose3) -> Self {
+        let turned = t_base_camera.rotation.to_rotation_matrix() * level().inverse();
+        let (roll, pitch, yaw) = turned.euler_angles();
+        let place_m = t_base_camera.translation.vector;
+        Self {
+            height_m: place_m.z,
+            forward_m: place_m.x,
+            left_m: place_m.y,
+            pitch_down_deg: pitch.to_degrees(),
+            roll_deg: roll.to_degrees(),
+            yaw_deg: yaw.to_degrees(),
+        }
+    }
+
     /// `t_base_camera`: the pose of `camera_optical` (x right, y down, z forward) in `base_link`. The rotations follow REP-103:
     /// roll about x first, then pitch about y, then yaw about z.
     #[must_use]
@@ -86,13 +102,16 @@ pub fn camera_mount(forward_m: f64, height_m: f64, pitch_down_rad: f64) -> Pose3
 }
 
 fn camera_pose(place_m: [f64; 3], [roll, pitch, yaw]: [f64; 3]) -> Pose3 {
-    // The columns are the optical axes x (right), y (down), z (forward) in base_link.
-    let level = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let roll = Rotation3::from_axis_angle(&Vector3::x_axis(), roll);
     let pitch = Rotation3::from_axis_angle(&Vector3::y_axis(), pitch);
     let yaw = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw);
-    let rotation = yaw * pitch * roll * Rotation3::from_matrix_unchecked(level);
+    let rotation = yaw * pitch * roll * level();
     Pose3::from_parts(Translation3::from(place_m), UnitQuaternion::from_rotation_matrix(&rotation))
+}
+
+/// The columns are the optical axes x (right), y (down), z (forward) of a level camera in `base_link`.
+fn level() -> Rotation3<f64> {
+    Rotation3::from_matrix_unchecked(Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0))
 }
 
 #[cfg(test)]
@@ -144,6 +163,18 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn a_mount_is_known_by_its_pose(
+            roll_deg in -45.0..45.0f64, yaw_deg in -170.0..170.0f64, pitch_down_deg in -80.0..80.0f64,
+        ) {
+            let mount = CameraMount { left_m: 0.1, pitch_down_deg, roll_deg, yaw_deg, ..CameraMount::default() };
+            let found = CameraMount::of(&mount.t_base_camera());
+            prop_assert!((found.roll_deg - roll_deg).abs() < 1e-6);
+            prop_assert!((found.pitch_down_deg - pitch_down_deg).abs() < 1e-6);
+            prop_assert!((found.yaw_deg - yaw_deg).abs() < 1e-6);
+            prop_assert!((found.left_m - 0.1).abs() < 1e-12);
+        }
+
         #[test]
         fn roll_never_moves_the_optical_axis(roll_deg in -180.0..180.0f64, yaw_deg in -180.0..180.0f64, pitch_down_deg in -80.0..80.0f64) {
             let mount = CameraMount { pitch_down_deg, yaw_deg, ..CameraMount::default() };

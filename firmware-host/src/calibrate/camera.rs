@@ -5,10 +5,9 @@
 //! inverse distance `rho` is unknown and is eliminated, as are small errors of the motion: the floor tilts the robot, and poses are
 //! not exact. The camera's height moves nothing in planar motion; `floor` finds it.
 
-use hal::{CameraModel, Pose2, Pose3};
+use hal::{CameraModel, CameraMount, Pose2, Pose3};
 use nalgebra::{
-    DMatrix, DVector, Matrix3, Matrix5, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2,
-    Vector3, Vector5,
+    DMatrix, DVector, Matrix5, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3, Vector5,
 };
 
 use super::base_path::BasePath;
@@ -62,15 +61,13 @@ pub(super) struct CameraParameters {
 impl CameraParameters {
     /// The configured mount; latency and focal length as stamped and configured.
     pub fn configured(t_base_camera: &Pose3) -> Self {
-        let level = level();
-        let rotation = t_base_camera.rotation.to_rotation_matrix() * level.inverse();
-        let (roll_rad, pitch_down_rad, yaw_rad) = rotation.euler_angles();
+        let mount = CameraMount::of(t_base_camera);
         Self {
-            roll_rad,
-            pitch_down_rad,
-            yaw_rad,
-            x_m: t_base_camera.translation.x,
-            y_m: t_base_camera.translation.y,
+            roll_rad: mount.roll_deg.to_radians(),
+            pitch_down_rad: mount.pitch_down_deg.to_radians(),
+            yaw_rad: mount.yaw_deg.to_radians(),
+            x_m: mount.forward_m,
+            y_m: mount.left_m,
             focal: 1.0,
             latency_s: 0.0,
         }
@@ -93,17 +90,18 @@ impl CameraParameters {
         }
     }
 
-    /// `t_base_camera`: roll about the robot's x axis first, then pitch about y, then yaw about z, as in URDF.
+    /// `t_base_camera` of a camera at this height.
     pub fn mount(&self, height_m: f64) -> Pose3 {
-        let turned = Rotation3::from_euler_angles(self.roll_rad, self.pitch_down_rad, self.yaw_rad);
-        let rotation = UnitQuaternion::from_rotation_matrix(&(turned * level()));
-        Pose3::from_parts(Translation3::new(self.x_m, self.y_m, height_m), rotation)
+        let mount = CameraMount {
+            height_m,
+            forward_m: self.x_m,
+            left_m: self.y_m,
+            pitch_down_deg: self.pitch_down_rad.to_degrees(),
+            roll_deg: self.roll_rad.to_degrees(),
+            yaw_deg: self.yaw_rad.to_degrees(),
+        };
+        mount.t_base_camera()
     }
-}
-
-/// The optical axes x (right), y (down), z (forward) of a level camera, in `base_link`.
-fn level() -> Rotation3<f64> {
-    Rotation3::from_matrix_unchecked(Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0))
 }
 
 /// Why the camera was not measured.
