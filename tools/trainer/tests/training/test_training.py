@@ -298,15 +298,15 @@ def test_a_short_training_beats_the_constant(tmp_path: Path) -> None:
     settings = Settings(learning_rate=1e-3)
     learner = trainer(frames, settings)
     before = evaluate(unseen, {"student": learner.network}, settings.depth_range_m)
-    file = train(learner, 150, tmp_path)
+    file = train(learner, 300, tmp_path)
     after = evaluate(unseen, {"student": checkpoints.load(file).build()}, settings.depth_range_m)
     assert after["student"].share == 1.0
     assert after["student"].delta1 > after["constant"].delta1 + 0.1
     # Depth with high confidence is correct.
     assert after["student, mapped"].share > 0.2
     assert after["student, mapped"].delta1_unscaled > max(0.9, after["student"].delta1_unscaled)
-    # Measured with this seed: 0.707 before, 0.992 after. The gain varies with the seed, since 150 steps are few: it was
-    # 0.004 with seed 1 and 0.098 with seed 2.
+    # Measured with this seed: 0.707 before, 0.965 after; with seed 1 0.727, with seed 2 0.937. After 150 steps it was
+    # 0.992 on one kind of processor and 0.793 on another.
     assert after["student"].delta1_unscaled > before["student"].delta1_unscaled + 0.1
 
 
