@@ -1,8 +1,8 @@
-//! Writes coarse depth as NumPy files, so that a network can be trained on the same input that the
-//! robot will give it.
+//! Writes coarse and dense depth as NumPy files, so that a network can be trained on the same input
+//! that the robot will give it.
 //!
-//! `NNNNNN.npy` is uint16 `[2, rows, columns]`: depth in millimetres (0: none), then confidence
-//! times 65535. For a dataset, the resampled images are written too: `NNNNNN_rgb.npy` is uint8
+//! `NNNNNN.npy` (coarse depth) and `NNNNNN_dense.npy` are uint16 `[2, rows, columns]`: depth in
+//! millimetres (0: none), then confidence times 65535. For a dataset, the resampled images are written too: `NNNNNN_rgb.npy` is uint8
 //! `[rows, columns, 3]`, and `NNNNNN_truth.npy` is uint16 in millimetres. A recording already
 //! contains its images. `dump.json` lists the files. It is written last, so a folder without it is
 //! incomplete.
@@ -24,7 +24,14 @@ pub(crate) struct Dump {
     index: Index,
 }
 
-/// One frame, without its coarse depth.
+/// The depth of a frame without a network.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Depths<'a> {
+    pub coarse: Option<&'a DepthEstimate>,
+    pub dense: Option<&'a DepthEstimate>,
+}
+
+/// One frame, without its depth.
 pub(crate) struct Shot<'a> {
     pub time_ns: u64,
     /// Pose of `camera_optical` in the frame of the run's poses.
@@ -66,6 +73,7 @@ struct Entry {
     /// Row-major 4x4.
     t_world_camera: Vec<f64>,
     coarse: bool,
+    dense: bool,
     rgb: bool,
     truth: bool,
     #[serde(flatten)]
@@ -85,17 +93,15 @@ impl Dump {
         Ok(Self { dir: dir.to_owned(), index })
     }
 
-    pub fn add(&mut self, shot: &Shot<'_>, coarse: Option<&DepthEstimate>) -> Result<()> {
+    pub fn add(&mut self, shot: &Shot<'_>, depths: &Depths<'_>) -> Result<()> {
         let name = format!("{:06}", self.index.frames.len());
         let rows = self.index.height;
         let columns = self.index.width;
-        if let Some(coarse) = coarse {
-            let confidence = coarse
-                .confidence
-                .iter()
-                .map(|value| (value.clamp(0.0, 1.0) * 65_535.0).round() as u16);
-            let planes = millimetres(&coarse.depth).chain(confidence);
-            self.write(format!("{name}.npy"), &npy_u16(&[2, rows, columns], planes))?;
+        for (estimate, suffix) in [(depths.coarse, ""), (depths.dense, "_dense")] {
+            if let Some(estimate) = estimate {
+                let planes = npy_u16(&[2, rows, columns], planes(estimate));
+                self.write(format!("{name}{suffix}.npy"), &planes)?;
+            }
         }
         if let Some(truth) = shot.truth {
             let planes = npy_u16(&[rows, columns], millimetres(truth));
@@ -107,7 +113,8 @@ impl Dump {
         self.index.frames.push(Entry {
             time_ns: shot.time_ns,
             t_world_camera: row_major(&shot.t_world_camera),
-            coarse: coarse.is_some(),
+            coarse: depths.coarse.is_some(),
+            dense: depths.dense.is_some(),
             rgb: shot.rgb.is_some(),
             truth: shot.truth.is_some(),
             view: shot.view,
@@ -128,6 +135,13 @@ impl Dump {
 
 fn row_major(pose: &Pose3) -> Vec<f64> {
     pose.to_matrix().transpose().as_slice().to_vec()
+}
+
+/// Depth, then confidence.
+fn planes(estimate: &DepthEstimate) -> impl Iterator<Item = u16> + '_ {
+    let confidence = estimate.confidence.iter();
+    let confidence = confidence.map(|value| (value.clamp(0.0, 1.0) * 65_535.0).round() as u16);
+    millimetres(&estimate.depth).chain(confidence)
 }
 
 /// Depth in millimetres. A depth that does not fit into 16 bits becomes 0, no depth.
@@ -191,8 +205,8 @@ mod tests {
         let depth = DepthMap::from_vec(2, 1, vec![2.5, 70.0]).unwrap();
         let coarse = DepthEstimate { depth, confidence: vec![1.0, 0.5] };
         let mut dump = Dump::create(dir.path(), &camera).unwrap();
-        dump.add(&shot, None).unwrap();
-        dump.add(&shot, Some(&coarse)).unwrap();
+        dump.add(&shot, &Depths::default()).unwrap();
+        dump.add(&shot, &Depths { coarse: Some(&coarse), dense: Some(&coarse) }).unwrap();
         assert!(!dir.path().join(INDEX).exists());
         dump.write_index().unwrap();
         let index: serde_json::Value =
@@ -202,6 +216,8 @@ mod tests {
         let planes = std::fs::read(dir.path().join("000001.npy")).unwrap();
         let values = [2500u16, 0, 65_535, 32_768].map(u16::to_le_bytes).concat();
         assert!(planes.ends_with(&values));
+        assert_eq!(std::fs::read(dir.path().join("000001_dense.npy")).unwrap(), planes);
+        assert_eq!(index["frames"][0]["dense"], false);
         assert!(std::fs::read(dir.path().join("000000_rgb.npy")).unwrap().ends_with(&rgb));
         assert!(!dir.path().join("000000.npy").exists());
     }

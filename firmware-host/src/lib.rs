@@ -21,6 +21,7 @@ pub mod evaluation;
 pub mod explore;
 pub mod failure;
 pub mod faults;
+pub mod frame_depth;
 pub mod health;
 pub mod init;
 pub mod keep_out;

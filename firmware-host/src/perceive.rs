@@ -9,11 +9,12 @@ use anyhow::{Result, bail};
 use hal::ImageView;
 use runtime::accuracy::{Accuracy, ConstantBaseline};
 use runtime::event::Event;
-use runtime::perception::{CoarseDepth, DenseDepth, DepthEstimate, DepthNetwork, Moment, NoDepth};
+use runtime::perception::DepthNetwork;
 
 use crate::cli::PerceiveArgs;
-use crate::dataset::{Dataset, Sample};
-use crate::dump::{Dump, Shot};
+use crate::dataset::Dataset;
+use crate::dump::{Depths, Dump, Shot};
+use crate::frame_depth::{self, FrameDepth};
 use crate::replay::segments;
 use crate::report::atomic::prepare_dir;
 use crate::report::depth_sample::{FrameDepths, SheetRow, SheetSampler};
@@ -27,7 +28,7 @@ use crate::report::table;
 use crate::report::top_view::TopView;
 use crate::setup;
 use crate::stopwatch::Stopwatch;
-use source::Source;
+use source::{Source, View};
 
 /// Processes every image of the sequence and writes the reports.
 ///
@@ -48,12 +49,10 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     prepare_dir(&args.out)?;
     let mut dump = args.dump.as_deref().map(|dir| Dump::create(dir, &camera)).transpose()?;
 
-    let coarse = CoarseDepth::new(config.coarse.clone(), camera)?;
     // A recorded robot stood on a floor; how the camera of another sequence was held is not known.
     let mount = source.is_recording().then(|| config.camera.t_base_camera());
     let mut evaluator = Evaluator {
-        dense: DenseDepth::new(config.dense.clone(), &camera, &coarse, mount.as_ref()),
-        coarse,
+        depth: FrameDepth::new(&config.coarse, &config.dense, camera, mount.as_ref())?,
         network,
         coarse_accuracy: Accuracy::new(),
         dense_accuracy: Accuracy::new(),
@@ -70,17 +69,18 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     let mut progress = source.len().map(Progress::start);
     let mut last: Option<hal::Pose3> = None;
     let mut frames = 0;
-    for sample in source.samples() {
-        let sample = sample?;
+    for view in source.views() {
+        let view = view?;
+        let sample = &view.sample;
         if let Some(last) = last {
             evaluator.path_m +=
                 (sample.t_world_camera.translation.vector - last.translation.vector).norm();
         }
         last = Some(sample.t_world_camera);
-        let coarse = evaluator.process(frames, &sample)?;
+        let depths = evaluator.process(frames, &view)?;
         if let Some(dump) = &mut dump {
             // A recording already contains its images and ground truth.
-            let stored = (!source.is_recording()).then_some(&sample);
+            let stored = (!source.is_recording()).then_some(sample);
             let shot = Shot {
                 time_ns: sample.time_ns,
                 t_world_camera: sample.t_world_camera,
@@ -88,7 +88,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
                 truth: stored.and_then(|sample| sample.truth.as_ref()),
                 view: None,
             };
-            dump.add(&shot, coarse)?;
+            dump.add(&shot, &depths)?;
         }
         frames += 1;
         if let Some(progress) = &mut progress {
@@ -132,8 +132,7 @@ fn top_view(dataset: &Dataset) -> Result<TopView> {
 
 /// Runs coarse depth and the network, and collects their accuracy and timing.
 struct Evaluator {
-    coarse: CoarseDepth,
-    dense: DenseDepth,
+    depth: FrameDepth,
     network: Option<DepthNetwork>,
     coarse_accuracy: Accuracy,
     dense_accuracy: Accuracy,
@@ -150,26 +149,30 @@ struct Evaluator {
 }
 
 impl Evaluator {
-    /// Processes one image. Returns its coarse depth, if there is any.
-    fn process(&mut self, index: u64, sample: &Sample) -> Result<Option<&DepthEstimate>> {
+    /// Processes one image. Returns its depth without a network.
+    fn process(&mut self, index: u64, view: &View) -> Result<Depths<'_>> {
+        let View { sample, scan, moment } = view;
         let frame = ImageView::rgb8(sample.camera.width, sample.camera.height, &sample.rgb)?;
+        let shot = frame_depth::Shot {
+            frame,
+            t_odom_camera: sample.t_world_camera,
+            scan: scan.as_ref().map(|(scan, t_odom_laser)| (scan, *t_odom_laser)),
+            moment: *moment,
+        };
         let began = Instant::now();
         self.stopwatch.start();
-        let coarse = self.coarse.estimate(frame, &sample.t_world_camera);
-        self.stopwatch.lap(Stage::Coarse);
-        if let Err(why) = coarse {
+        if let Err(why) = self.depth.estimate(&shot) {
             self.events.add(&Event::NoDepth { why });
         }
-        let has_image = coarse.map_or_else(NoDepth::has_image, |_| true);
-        let has_coarse = coarse.is_ok();
-        if has_image {
-            self.dense.complete(&self.coarse, &Moment::HANDHELD);
-        }
+        self.stopwatch.lap(Stage::Coarse);
+        self.depth.complete(&shot);
         self.stopwatch.lap(Stage::Dense);
-        let coarse = has_coarse.then(|| self.coarse.last());
+        let coarse = self.depth.coarse();
+        let dense = self.depth.dense();
         let mut refined = None;
         if let Some(network) = &mut self.network {
-            match network.estimate(frame, &sample.t_world_camera, coarse) {
+            let given = self.depth.given(network.spec().given);
+            match network.estimate(frame, &sample.t_world_camera, given) {
                 Ok(estimate) => refined = Some(estimate),
                 Err(why) => self.events.add(&Event::NoDepth { why }),
             }
@@ -181,7 +184,7 @@ impl Evaluator {
         }
         if let Some(truth) = &sample.truth {
             self.coarse_accuracy.add(coarse, truth)?;
-            self.dense_accuracy.add(has_image.then(|| self.dense.last()), truth)?;
+            self.dense_accuracy.add(dense, truth)?;
             self.constant.add(truth);
             if let Some(refined) = refined {
                 self.network_accuracy.add(Some(refined), truth)?;
@@ -193,14 +196,10 @@ impl Evaluator {
                 }
             }
         }
-        let depths = FrameDepths {
-            coarse,
-            dense: has_image.then(|| self.dense.last()),
-            network: refined,
-            truth: sample.truth.as_ref(),
-        };
+        let depths =
+            FrameDepths { coarse, dense, network: refined, truth: sample.truth.as_ref() };
         self.sheet.offer(index, depths.count(), || SheetRow::capture(index, &frame, &depths));
-        Ok(coarse)
+        Ok(Depths { coarse, dense })
     }
 
     fn summary(&self, frames: u64, wall_s: f64, dataset: &str) -> Summary {

@@ -7,7 +7,7 @@ use hal::CameraModel;
 use runtime::exploration::PolicyKind;
 use runtime::lidar_agreement::LidarAgreement;
 use runtime::model_gate::LidarView;
-use runtime::perception::{DepthNetwork, NetworkOptions};
+use runtime::perception::{DepthNetwork, GivenDepth, NetworkOptions};
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, RobotConfig};
 
@@ -126,7 +126,22 @@ pub fn network_of(model: &[u8], camera: &CameraModel, config: &Config) -> Result
     tracing::info!(library = %library.display(), "ONNX Runtime");
     let NetworkSection { threads, spin, provider } = config.network;
     let options = NetworkOptions { threads, spin, provider };
-    Ok(DepthNetwork::load(&environment, model, camera, options)?)
+    let network = DepthNetwork::load(&environment, model, camera, options)?;
+    check_given(&network, config)?;
+    Ok(network)
+}
+
+/// Whether this robot computes the depth that the network is given.
+///
+/// # Errors
+/// When it does not.
+pub fn check_given(network: &DepthNetwork, config: &Config) -> Result<()> {
+    if network.spec().given == GivenDepth::Dense && !config.dense.enabled {
+        bail!(
+            "it needs dense depth, and `dense.enabled` is false; set it to true, or take a model that is given coarse depth"
+        );
+    }
+    Ok(())
 }
 
 /// The depth source that was asked for, or the one that the presence of a model suggests.

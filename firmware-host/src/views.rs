@@ -1,23 +1,25 @@
 //! `firmware-host views`: renders a test set of a scene for the evaluation of depth networks.
 //!
 //! The views are uniformly distributed over the reachable floor and over headings. Each view comes
-//! with the coarse depth of a robot that has just arrived there. Three of four robots arrived by
+//! with the coarse and dense depth of a robot that has just arrived there. Three of four robots arrived by
 //! driving, the fourth by rotating on the spot, which gives no parallax for coarse depth. No view
 //! is part of any run.
 
 use std::sync::Arc;
 
 use anyhow::Result;
-use hal::{DepthMap, ImageView, Pose2};
+use hal::{DepthMap, ImageView, LaserScan, Pose2};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use runtime::perception::CoarseDepth;
+use runtime::perception::Moment;
 use simulator::World;
 use simulator::floor::FloorPlan;
+use simulator::laser::{self, LaserModel};
 
 use crate::cli::ViewsArgs;
 use crate::config::Config;
-use crate::dump::{Dump, Shot, View};
+use crate::dump::{Depths, Dump, Shot, View};
+use crate::frame_depth::{self, FrameDepth};
 use crate::report::progress::{Progress, Status};
 use crate::simulation;
 
@@ -113,7 +115,7 @@ fn path_to(view: &Pose2, config: &Config, approach: Approach, rng: &mut Pcg64Mcg
     path
 }
 
-/// Renders the frames along the path and computes coarse depth like the robot. Writes the last
+/// Renders the frames along the path and computes coarse and dense depth like the robot. Writes the last
 /// frame with its depth, and some of the frames before it.
 fn render(
     world: &World,
@@ -125,24 +127,39 @@ fn render(
     dump: &mut Dump,
 ) -> Result<()> {
     let camera = config.camera.model();
-    let mut coarse = CoarseDepth::new(config.coarse.clone(), camera)?;
+    let t_base_camera = config.camera.t_base_camera();
+    let mut depth = FrameDepth::new(&config.coarse, &config.dense, camera, Some(&t_base_camera))?;
+    // Random numbers of its own, so that the scanner does not change the views.
+    let mut laser_rng = Pcg64Mcg::seed_from_u64(index);
+    let mut scan = LaserScan::empty(LaserModel::UTM_30LX.geometry);
     let mut rgb = Vec::new();
     let mut truth = DepthMap::none(camera.width, camera.height);
     let light = config.simulator.nuisances.lighting(0);
     let view = Some(View { view: index, approach: approach.name() });
     for (step, pose) in path.iter().enumerate() {
-        let t_world_camera = pose.to_pose3() * config.camera.t_base_camera();
+        let t_world_camera = pose.to_pose3() * t_base_camera;
+        let time_ns = (index * path.len() as u64 + step as u64) * config.base.tick_ns();
         world.renderer().render(&camera, &t_world_camera, &[], &light, &mut rgb, &mut truth);
         config.simulator.nuisances.add_sensor_noise(rng, &mut rgb);
-        let estimate = coarse
-            .estimate(ImageView::rgb8(camera.width, camera.height, &rgb)?, &t_world_camera)
-            .ok();
+        let t_world_laser = pose.to_pose3() * config.lidar.t_base_laser_3d();
+        let renderer = world.renderer();
+        let model = &LaserModel::UTM_30LX;
+        laser::scan(renderer, |_| t_world_laser, &[], model, &mut laser_rng, time_ns, &mut scan);
+        let shot = frame_depth::Shot {
+            frame: ImageView::rgb8(camera.width, camera.height, &rgb)?,
+            t_odom_camera: t_world_camera,
+            scan: Some((&scan, Pose2::of_level(&t_world_laser))),
+            moment: Moment { time_ns, t_odom_base: *pose, ..Moment::HANDHELD },
+        };
+        let _ = depth.estimate(&shot);
+        depth.complete(&shot);
         let remaining = path.len() - 1 - step;
         if remaining.is_multiple_of(KEPT_EVERY) {
-            let time_ns = (index * path.len() as u64 + step as u64) * config.base.tick_ns();
-            let (truth, estimate) =
-                if remaining == 0 { (Some(&truth), estimate) } else { (None, None) };
-            dump.add(&Shot { time_ns, t_world_camera, rgb: Some(&rgb), truth, view }, estimate)?;
+            let is_view = remaining == 0;
+            let depths = Depths { coarse: depth.coarse(), dense: depth.dense() };
+            let depths = if is_view { depths } else { Depths::default() };
+            let truth = is_view.then_some(&truth);
+            dump.add(&Shot { time_ns, t_world_camera, rgb: Some(&rgb), truth, view }, &depths)?;
         }
     }
     Ok(())

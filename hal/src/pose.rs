@@ -66,6 +66,13 @@ impl Pose2 {
         )
     }
 
+    /// The part in the plane of a pose that is turned about the vertical only.
+    #[must_use]
+    pub fn of_level(pose: &Pose3) -> Self {
+        let ahead = pose.rotation * Vector3::x();
+        Self::new(pose.translation.x, pose.translation.y, nalgebra::RealField::atan2(ahead.y, ahead.x))
+    }
+
     /// Whether every component is finite. A pose that is not finite must be refused, never
     /// repaired.
     #[must_use]
@@ -125,6 +132,12 @@ mod tests {
             let (px, py) = a.transform(x, y);
             let p = a.to_pose3() * Point3::new(x, y, 0.0);
             prop_assert!((p.x - px).abs() < 1e-9 && (p.y - py).abs() < 1e-9 && p.z.abs() < 1e-12);
+        }
+
+        #[test]
+        fn the_planar_part_of_a_raised_pose_is_the_pose(a in pose(), height_m in -1.0..2.0) {
+            let raised = Pose3::translation(0.0, 0.0, height_m) * a.to_pose3();
+            prop_assert!(close(&Pose2::of_level(&raised), &a));
         }
 
         #[test]

@@ -97,7 +97,7 @@ impl DriveReader {
             configured: Configured {
                 wheel_radius_m: base.wheel_radius_m,
                 track_m: base.track_m,
-                t_base_laser: in_the_plane(&t_base_laser),
+                t_base_laser: Pose2::of_level(&t_base_laser),
             },
             clock: Clock::default(),
             wheels: WheelPath::default(),
@@ -180,8 +180,3 @@ impl Clock {
     }
 }
 
-/// The planar part of a level mount.
-fn in_the_plane(mount: &Pose3) -> Pose2 {
-    let ahead = mount.rotation * nalgebra::Vector3::x();
-    Pose2::new(mount.translation.x, mount.translation.y, ahead.y.atan2(ahead.x))
-}

@@ -168,6 +168,8 @@ hal::settings! {
         recordings: String = String::new();
         /// The 99th percentile of the inference time must stay below this. Coarse depth and the map need the rest of a tick.
         max_p99_ms: f64 = GateLimits::default().p99_ms, in 1.0..=10000.0, unit "ms";
+        /// Whether a model is refused that is shown to be worse than dense depth, which needs no network.
+        must_reach_dense: bool = GateLimits::default().must_reach_dense;
         /// Address space of the process that examines a model.
         gate_memory_mib: u64 = 4096, in 256..=1048576, unit "MiB";
         /// Time limit of the process that examines a model. Its limit of processor time is twice this.

@@ -28,7 +28,7 @@ use super::{map_accuracy, map_plot};
 use crate::cli::ExploreArgs;
 use crate::config::{Config, RecordingSection};
 use crate::control_panel::ControlPanel;
-use crate::dump::{Dump, Shot};
+use crate::dump::{Depths, Dump, Shot};
 use crate::evaluation::{Evaluation, NEAR_EDGE_M, Truth};
 use crate::map::KeptMap;
 use crate::model::LiveModels;
@@ -396,14 +396,14 @@ impl RunLog {
         Ok(())
     }
 
-    /// Writes a frame's coarse depth, with the believed pose.
+    /// Writes a frame's coarse and dense depth, with the believed pose.
     fn dump(&mut self, robot: &Robot, input: &TickInput<'_>) -> Result<()> {
         let (Some(dump), Some(_)) = (&mut self.dump, &input.frame) else { return Ok(()) };
         let t_map_base = robot.poses().t_map_base_at_frame();
         let t_world_camera = t_map_base.to_pose3() * robot.config().t_base_camera;
         let shot =
             Shot { time_ns: input.time_ns, t_world_camera, rgb: None, truth: None, view: None };
-        dump.add(&shot, robot.coarse_depth())
+        dump.add(&shot, &Depths { coarse: robot.coarse_depth(), dense: robot.dense_depth() })
     }
 
     fn record(

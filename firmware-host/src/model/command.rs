@@ -219,7 +219,11 @@ fn install(
         recordings,
         frames: install.frames as usize,
         child: ChildLimits { memory_mib: models.gate_memory_mib, time_s: models.gate_timeout_s },
-        limits: GateLimits { p99_ms: models.max_p99_ms, ..GateLimits::default() },
+        limits: GateLimits {
+            p99_ms: models.max_p99_ms,
+            must_reach_dense: models.must_reach_dense,
+            ..GateLimits::default()
+        },
         unproven: install.unproven,
         again: install.again,
         idle: !install.normal_priority,
@@ -276,15 +280,19 @@ fn refused(as_json: bool, why: &str, kind: &str) -> Result<ExitCode> {
 
 fn print_measured(examination: &Examination, verdict: &Verdict) {
     println!("  {} held-out frames of {} places", verdict.frames, verdict.places);
-    for (measure, paired) in &verdict.compared {
-        println!(
-            "  {}: {:.4}, current model {:.4} (difference {:+.4} to {:+.4})",
-            measure.name(),
-            paired.candidate,
-            paired.resident,
-            paired.lower,
-            paired.upper
-        );
+    for (others, other) in
+        [(&verdict.compared, "current model"), (&verdict.beside_dense, "dense depth, no network")]
+    {
+        for (measure, paired) in others {
+            println!(
+                "  {}: {:.4}, {other} {:.4} (difference {:+.4} to {:+.4})",
+                measure.name(),
+                paired.candidate,
+                paired.resident,
+                paired.lower,
+                paired.upper
+            );
+        }
     }
     for evidence in &verdict.near {
         let NearEvidence { what, frames, lost, .. } = evidence;

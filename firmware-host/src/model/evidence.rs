@@ -1,5 +1,5 @@
 //! Held-out frames from the robot's own recordings. Each comes with what the evaluation of a model
-//! needs: coarse depth as in the control loop, earlier frames from other places, and the LiDAR
+//! needs: coarse and dense depth as in the control loop, earlier frames from other places, and the LiDAR
 //! returns inside the image.
 
 use std::collections::VecDeque;
@@ -9,9 +9,11 @@ use std::time::SystemTime;
 use anyhow::Result;
 use hal::{CameraModel, ImageView, Pose2, Pose3};
 use runtime::model_gate::{HeldOutRule, LidarPixel, LidarView, PoseBin};
-use runtime::perception::{CoarseConfig, CoarseDepth, DepthEstimate};
+use runtime::perception::{DenseConfig, DepthEstimate, GivenDepth, Moment};
 use runtime::recording::{RecordedTick, RunHeader};
 
+use crate::config::Config;
+use crate::frame_depth::{FrameDepth, Shot, moment_of};
 use crate::replay::{open_segment, segments};
 
 /// Number of earlier frames that are kept, for coarse depth and as candidates for sources. At 3 cm
@@ -37,6 +39,8 @@ pub struct Sample<'a> {
     pub t_odom_camera: Pose3,
     /// Coarse depth of the frame, as the control loop computes it.
     pub coarse: Option<&'a DepthEstimate>,
+    /// Dense depth without the scan, so that the LiDAR stays an independent witness.
+    pub dense: Option<&'a DepthEstimate>,
     /// Earlier frames (RGB8) with `t_odom_camera`.
     pub sources: Vec<(&'a [u8], Pose3)>,
     /// LiDAR returns that are visible in the frame.
@@ -44,6 +48,14 @@ pub struct Sample<'a> {
 }
 
 impl Sample<'_> {
+    /// The depth that a network is given.
+    pub fn given(&self, kind: GivenDepth) -> Option<&DepthEstimate> {
+        match kind {
+            GivenDepth::Coarse => self.coarse,
+            GivenDepth::Dense => self.dense,
+        }
+    }
+
     /// An RGB8 buffer of the camera's size as an image view.
     pub fn view<'s>(&self, camera: &CameraModel, rgb: &'s [u8]) -> Result<ImageView<'s>> {
         Ok(ImageView::rgb8(camera.width, camera.height, rgb)?)
@@ -79,8 +91,7 @@ pub fn newest_segments(paths: &[PathBuf]) -> Vec<PathBuf> {
 /// Only those of `judge`.
 pub fn read_segment(
     path: &Path,
-    camera: &CameraModel,
-    coarse: &CoarseConfig,
+    config: &Config,
     mut judge: impl FnMut(&Sample<'_>) -> Result<bool>,
 ) -> Result<bool> {
     let reader = match open_segment(path) {
@@ -91,12 +102,17 @@ pub fn read_segment(
         }
     };
     let run = reader.header().run.clone();
-    if run.camera != *camera {
+    let camera = config.camera.model();
+    if run.camera != camera {
         tracing::warn!("skipping {}: it was recorded with another camera", path.display());
         return Ok(true);
     }
-    let Ok(coarse) = CoarseDepth::new(coarse.clone(), *camera) else { return Ok(true) };
-    let mut clip = Clip { run, coarse, has_coarse: false, seen: VecDeque::new(), last: None };
+    let without_walls = DenseConfig { walls: false, ..config.dense.clone() };
+    let mount = Some(&run.t_base_camera);
+    let Ok(depth) = FrameDepth::new(&config.coarse, &without_walls, camera, mount) else {
+        return Ok(true);
+    };
+    let mut clip = Clip { run, depth, seen: VecDeque::new(), last: None };
     for tick in reader {
         let Ok(tick) = tick.inspect_err(|error| tracing::warn!("{}: {error}", path.display()))
         else {
@@ -115,9 +131,7 @@ pub fn read_segment(
 /// The latest frames of a segment.
 struct Clip {
     run: RunHeader,
-    coarse: CoarseDepth,
-    /// Whether the latest frame has coarse depth.
-    has_coarse: bool,
+    depth: FrameDepth,
     seen: VecDeque<Seen>,
     /// Pose of the last held-out frame that was used.
     last: Option<Pose2>,
@@ -126,8 +140,9 @@ struct Clip {
 struct Seen {
     rgb: Vec<u8>,
     t_odom_camera: Pose3,
-    /// Whether coarse depth was computed for this frame. It is computed lazily, because most frames
-    /// are not held out.
+    moment: Moment,
+    /// Whether depth was computed for this frame. It is computed lazily, because most frames are not
+    /// held out.
     matched: bool,
 }
 
@@ -144,11 +159,12 @@ impl Clip {
             self.seen.pop_front();
         }
         let t_odom_camera = tick.t_odom_base_at_frame().to_pose3() * self.run.t_base_camera;
-        self.seen.push_back(Seen { rgb: frame.rgb.clone(), t_odom_camera, matched: false });
+        let moment = moment_of(tick);
+        self.seen.push_back(Seen { rgb: frame.rgb.clone(), t_odom_camera, moment, matched: false });
         if !rule.holds_out(&bin) {
             return None;
         }
-        self.update_coarse();
+        self.update_depth();
         if self.last.as_ref().is_some_and(|last| !differs(last, &place)) {
             return None;
         }
@@ -156,15 +172,18 @@ impl Clip {
         Some(bin)
     }
 
-    /// Computes coarse depth for all stored frames that do not have it yet, in order.
-    fn update_coarse(&mut self) {
+    /// Computes depth for all stored frames that do not have it yet, in order.
+    fn update_depth(&mut self) {
         let width = self.run.camera.width;
         let height = self.run.camera.height;
         for seen in self.seen.iter_mut().filter(|seen| !seen.matched) {
             seen.matched = true;
-            let view = ImageView::rgb8(width, height, &seen.rgb);
-            self.has_coarse =
-                view.is_ok_and(|view| self.coarse.estimate(view, &seen.t_odom_camera).is_ok());
+            if let Ok(frame) = ImageView::rgb8(width, height, &seen.rgb) {
+                let Seen { t_odom_camera, moment, .. } = *seen;
+                let shot = Shot { frame, t_odom_camera, scan: None, moment };
+                let _ = self.depth.estimate(&shot);
+                self.depth.complete(&shot);
+            }
         }
     }
 
@@ -187,7 +206,8 @@ impl Clip {
             bin,
             rgb: &newest.rgb,
             t_odom_camera: newest.t_odom_camera,
-            coarse: self.has_coarse.then(|| self.coarse.last()),
+            coarse: self.depth.coarse(),
+            dense: self.depth.dense(),
             sources: sources
                 .into_iter()
                 .map(|(_, seen)| (seen.rgb.as_slice(), seen.t_odom_camera))

@@ -22,6 +22,7 @@ use super::ExamineArgs;
 use super::evidence::{Sample, newest_segments, read_segment};
 use crate::config::Config;
 use crate::onnx_runtime;
+use crate::setup::check_given;
 
 /// Largest allowed difference from the golden output. It is ten times what the exporter allows
 /// between PyTorch and ONNX Runtime, because other processors sum in another order.
@@ -90,6 +91,9 @@ pub fn run(args: &ExamineArgs) -> Result<()> {
         Ok(network) => network,
         Err(error) => return send(&Report::Unfit(Unfit::Network(error.to_string()))),
     };
+    if let Err(why) = check_given(&candidate, &config) {
+        return send(&Report::Unfit(Unfit::Network(why.to_string())));
+    }
     send(&Report::Doing("running its golden pair".to_owned()))?;
     let golden_difference = match candidate.golden_difference() {
         Ok(Some(difference)) if f64::from(difference) <= GOLDEN_TOLERANCE => f64::from(difference),
@@ -203,8 +207,7 @@ impl Examiner {
         mut resident: Option<&mut DepthNetwork>,
     ) -> Result<()> {
         for segment in newest_segments(&args.recordings) {
-            let camera = self.camera;
-            let more = read_segment(&segment, &camera, &config.coarse, |sample| {
+            let more = read_segment(&segment, config, |sample| {
                 self.score_both(sample, candidate, resident.as_deref_mut())?;
                 Ok(self.frames.len() < args.frames)
             })?;
@@ -241,12 +244,16 @@ impl Examiner {
             }
             None => None,
         };
+        let without_network = sample.dense.map(|dense| {
+            self.scorer.score(sample.rgb, dense, sample.coarse, &sources, &sample.line)
+        });
         self.frames.push(ScoredFrame {
             tick: sample.tick,
             bin: sample.bin,
             parallax_px,
             candidate: of_candidate,
             resident: of_resident,
+            without_network,
         });
         Ok(())
     }
@@ -267,7 +274,8 @@ impl Examiner {
         }
         let view = sample.view(&self.camera, sample.rgb)?;
         let began = Instant::now();
-        let estimate = network.estimate(view, &sample.t_odom_camera, sample.coarse);
+        let given = sample.given(network.spec().given);
+        let estimate = network.estimate(view, &sample.t_odom_camera, given);
         let ms = began.elapsed().as_secs_f64() * 1e3;
         let score = estimate.ok().map(|estimate| {
             self.scorer.score(sample.rgb, estimate, sample.coarse, sources, &sample.line)

@@ -3,13 +3,23 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use hal::CameraModel;
+use hal::{CameraModel, LaserScan, Pose2};
+use runtime::perception::Moment;
 use runtime::recording::{RecordedTick, RunHeader};
 
 use crate::cli::PerceiveArgs;
 use crate::config::Config;
 use crate::dataset::{Dataset, Sample};
+use crate::frame_depth::{moment_of, scan_of};
 use crate::recorded::Recorded;
+
+/// An image with its pose and what dense depth needs besides.
+pub(super) struct View {
+    pub sample: Sample,
+    /// A new scan with `t_odom_laser`.
+    pub scan: Option<(LaserScan, Pose2)>,
+    pub moment: Moment,
+}
 
 /// A sequence of images with poses.
 pub(super) struct Source {
@@ -92,26 +102,32 @@ impl Source {
     }
 
     /// All images in time order.
-    pub fn samples(&self) -> Box<dyn Iterator<Item = Result<Sample>> + '_> {
+    pub fn views(&self) -> Box<dyn Iterator<Item = Result<View>> + '_> {
         match &self.images {
-            Images::Dataset(dataset) => Box::new(dataset.samples().map(|sample| Ok(sample?))),
+            Images::Dataset(dataset) => Box::new(
+                dataset.samples().map(|sample| {
+                    Ok(View { sample: sample?, scan: None, moment: Moment::HANDHELD })
+                }),
+            ),
             Images::Recording(recording) => Box::new(
                 recording
                     .ticks()
-                    .filter_map(|tick| tick.map(|tick| sample(tick, recording.run())).transpose()),
+                    .filter_map(|tick| tick.map(|tick| view(tick, recording.run())).transpose()),
             ),
         }
     }
 }
 
 /// Converts a recorded tick; `None` for a tick without a frame.
-fn sample(tick: RecordedTick, run: &RunHeader) -> Option<Sample> {
-    let t_odom_base = tick.t_odom_base_at_frame();
-    Some(Sample {
+fn view(tick: RecordedTick, run: &RunHeader) -> Option<View> {
+    let moment = moment_of(&tick);
+    let scan = scan_of(&tick, &run.t_base_laser).map(|(scan, pose)| (scan.clone(), pose));
+    let sample = Sample {
         time_ns: tick.time_ns,
         rgb: tick.frame?.rgb,
         camera: run.camera,
-        t_world_camera: t_odom_base.to_pose3() * run.t_base_camera,
+        t_world_camera: moment.t_odom_base.to_pose3() * run.t_base_camera,
         truth: tick.truth,
-    })
+    };
+    Some(View { sample, scan, moment })
 }

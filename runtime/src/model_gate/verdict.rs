@@ -32,6 +32,8 @@ pub struct GateLimits {
     pub lost_near: f64,
     /// The same as the mean over the frames of the worst place.
     pub lost_at_a_place: f64,
+    /// Whether a model that is shown to be worse than dense depth is refused.
+    pub must_reach_dense: bool,
     /// Maximum of the 99th percentile of one inference, milliseconds.
     pub p99_ms: f64,
     /// A candidate that is slower than `p99_ms` is still accepted if its 99th percentile is at most
@@ -52,6 +54,7 @@ impl Default for GateLimits {
             least_delta1: 0.3,
             lost_near: 0.05,
             lost_at_a_place: 0.25,
+            must_reach_dense: false,
             p99_ms: 60.0,
             p99_over_resident: 1.1,
         }
@@ -70,6 +73,9 @@ pub struct ScoredFrame {
     pub candidate: Option<FrameScore>,
     /// `None` if there is no resident model, or its output was NaN or out of range.
     pub resident: Option<FrameScore>,
+    /// Dense depth without a network and without the scan; `None` where there is none.
+    #[serde(default)]
+    pub without_network: Option<FrameScore>,
 }
 
 /// Time of one inference, milliseconds.
@@ -123,16 +129,19 @@ impl Measure {
         Self::Calibration,
     ];
 
-    /// The errors of both models on a frame as (pose bin, candidate's error, resident's error);
-    /// `None` if the measure does not apply to the frame or one of the scores is missing.
-    fn errors(self, frame: &ScoredFrame) -> Option<(PoseBin, f64, f64)> {
+    /// The errors of the candidate and of `other` on a frame as (pose bin, candidate's error, error of the other); `None` if the
+    /// measure does not apply to the frame or one of the scores is missing.
+    fn errors(
+        self,
+        frame: &ScoredFrame,
+        other: Option<&FrameScore>,
+    ) -> Option<(PoseBin, f64, f64)> {
         let bin = parallax_bin(frame.parallax_px);
         if self.parallax_bin().is_some_and(|required| bin != required) {
             return None;
         }
         let candidate = self.error(frame.candidate.as_ref()?)?;
-        let resident = self.error(frame.resident.as_ref()?)?;
-        Some((frame.bin, candidate, resident))
+        Some((frame.bin, candidate, self.error(other?)?))
     }
 
     /// The parallax bin whose frames this measure compares; `None` if it compares all frames.
@@ -215,6 +224,12 @@ pub enum RefusalReason {
         measure.name(), paired.lower, paired.upper, paired.frames, paired.places
     )]
     NotShown { measure: Measure, paired: Paired, margin: f64 },
+    /// The candidate is shown to be worse than dense depth, which needs no network.
+    #[error(
+        "worse than dense depth, which needs no network: {} is {:.4} instead of {:.4}; the difference is {:.4} to {:.4} (90 %) over {} frames of {} places; train it longer or on more recordings, or use none",
+        measure.name(), paired.candidate, paired.resident, paired.lower, paired.upper, paired.frames, paired.places
+    )]
+    WorseThanDense { measure: Measure, paired: Paired },
     /// Inference takes longer than allowed.
     #[error(
         "too slow: p99 {p99_ms:.1} ms on this computer, allowed: {most_ms:.1} ms; train a smaller network or give it more threads"
@@ -228,6 +243,9 @@ pub struct Verdict {
     /// The reasons for a refusal. Without any, the model is accepted.
     pub refused: Vec<RefusalReason>,
     pub compared: Vec<(Measure, Paired)>,
+    /// The same comparisons with dense depth without a network in the place of the resident model.
+    #[serde(default)]
+    pub beside_dense: Vec<(Measure, Paired)>,
     /// Number of held-out frames.
     pub frames: usize,
     /// Number of pose bins that the frames come from.
@@ -279,7 +297,9 @@ pub fn judge(
     if bad > 0 {
         refused.push(RefusalReason::BadOutput { bad, of: count });
     }
-    let compared = if has_resident { compare_all(frames, limits) } else { Vec::new() };
+    let resident = |frame: &ScoredFrame| frame.resident.filter(|_| has_resident);
+    let compared = compare_all(frames, resident, limits);
+    let beside_dense = compare_all(frames, |frame| frame.without_network, limits);
     let enough = count >= limits.min_frames
         && places >= limits.min_places
         && !(has_resident && compared.is_empty());
@@ -296,8 +316,16 @@ pub fn judge(
     refused.extend(near.iter().flat_map(|evidence| loses_near(evidence, limits)));
     refused.extend(implausible(frames, delta1.filter(|_| !has_resident), limits));
     refused.extend(compared.iter().filter_map(|(measure, paired)| worse(*measure, paired, limits)));
+    if limits.must_reach_dense {
+        refused.extend(beside_dense.iter().filter_map(|(measure, paired)| {
+            let (measure, paired) = (*measure, *paired);
+            // NaN fails this comparison and is refused.
+            let reaches = paired.lower <= 0.0;
+            (!reaches).then_some(RefusalReason::WorseThanDense { measure, paired })
+        }));
+    }
     refused.extend(too_slow(examination, limits));
-    Verdict { refused, compared, frames: count, places, delta1, near }
+    Verdict { refused, compared, beside_dense, frames: count, places, delta1, near }
 }
 
 /// Frames with near coarse depth from which on a range is judged.
@@ -365,14 +393,18 @@ fn implausible(
     reasons
 }
 
-/// Compares the models by every measure for which there are enough frames: with few frames, a
+/// Compares the candidate with the scores of `other` by every measure for which there are enough frames: with few frames, a
 /// comparison would refuse good models as often as bad ones.
-fn compare_all(frames: &[ScoredFrame], limits: &GateLimits) -> Vec<(Measure, Paired)> {
+fn compare_all(
+    frames: &[ScoredFrame],
+    other: impl Fn(&ScoredFrame) -> Option<FrameScore>,
+    limits: &GateLimits,
+) -> Vec<(Measure, Paired)> {
     Measure::ALL
         .into_iter()
         .filter_map(|measure| {
             let errors: Vec<(PoseBin, f64, f64)> =
-                frames.iter().filter_map(|frame| measure.errors(frame)).collect();
+                frames.iter().filter_map(|frame| measure.errors(frame, other(frame).as_ref())).collect();
             let paired = compare(&errors)?;
             let enough = paired.frames >= limits.min_frames && paired.places >= limits.min_places;
             enough.then_some((measure, paired))
@@ -445,6 +477,7 @@ mod tests {
                 parallax_px: (tick % 3) as f64 * 10.0,
                 candidate: Some(score(candidate, noise)),
                 resident: resident.map(|factor| score(factor, 0.01 - noise)),
+                without_network: None,
             }
         });
         let latency = Latency { p50_ms: 5.0, p99_ms: 8.0, runs: 100 };
@@ -620,6 +653,24 @@ mod tests {
             "{refused:?}"
         );
         assert!(refused[0].to_string().contains("at one place"), "{}", refused[0]);
+    }
+
+    #[test]
+    fn a_model_that_is_worse_than_dense_depth_is_named_and_refused_where_the_operator_asks_for_that() {
+        let mut examination = scored(1.2, None);
+        for frame in &mut examination.frames {
+            frame.without_network = Some(score(1.0, 0.001));
+        }
+        let verdict = judge(&examination, false, false, &GateLimits::default());
+        assert_eq!((verdict.refused.len(), verdict.beside_dense.len()), (0, 6));
+        let strict = GateLimits { must_reach_dense: true, ..GateLimits::default() };
+        let refused = judge(&examination, false, false, &strict).refused;
+        assert!(matches!(refused[0], RefusalReason::WorseThanDense { .. }), "{refused:?}");
+        assert!(refused[0].to_string().contains("needs no network"), "{}", refused[0]);
+        for frame in &mut examination.frames {
+            frame.candidate = frame.without_network;
+        }
+        assert_eq!(judge(&examination, false, false, &strict).refused, []);
     }
 
     #[test]

@@ -48,6 +48,6 @@ pub use coarse::CoarseDepth;
 pub use config::{CoarseConfig, DenseConfig, PerceptionError};
 pub use dense::{DenseDepth, Moment};
 pub use estimate::{DepthEstimate, NoDepth};
-pub use network::{DepthNetwork, InputKind, NetworkError, NetworkOptions, Provider};
+pub use network::{DepthNetwork, GivenDepth, InputKind, NetworkError, NetworkOptions, Provider};
 pub use rotation_filter::YawError;
 pub use wta::Vote;

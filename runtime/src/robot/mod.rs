@@ -23,8 +23,8 @@ use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
 use crate::localization::{LocalizationConfig, LocalizationError, Whereabouts};
 use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
 use crate::perception::{
-    CoarseConfig, CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, Moment,
-    NoDepth, PerceptionError,
+    CoarseConfig, CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth,
+    Moment, NoDepth, PerceptionError,
 };
 use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
@@ -426,8 +426,11 @@ impl Robot {
         self.has_depth.dense = self.complete(input.wheel.time_ns, coarse);
         timer.ended(Stage::Dense);
         if let Some(network) = &mut self.network {
-            let coarse = self.has_depth.coarse.then(|| self.coarse.last());
-            let result = network.estimate(frame, t_odom_camera, coarse);
+            let given = match network.spec().given {
+                GivenDepth::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
+                GivenDepth::Dense => self.has_depth.dense.then(|| self.dense.last()),
+            };
+            let result = network.estimate(frame, t_odom_camera, given);
             timer.ended(Stage::Network);
             self.has_depth.network = result.is_ok();
             if let Err(why) = result {

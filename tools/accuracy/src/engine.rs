@@ -5,10 +5,11 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use firmware_host::config::Config;
+use firmware_host::frame_depth::{FrameDepth, Shot};
 use hal::{CameraModel, ImageView, Pose3};
 use runtime::perception::flow::{DenseFlow, FlowPreset};
 use runtime::perception::walls::Walls;
-use runtime::perception::{CoarseDepth, DenseDepth, DepthEstimate};
+use runtime::perception::{CoarseDepth, DepthEstimate};
 
 use crate::flow_network::FlowNetwork;
 use crate::least_squares::{FlowView, triangulate};
@@ -74,8 +75,7 @@ impl Engine for Coarse {
 /// Dense depth: coarse depth, completed by the voxel map and by filling.
 pub struct Dense {
     name: String,
-    coarse: CoarseDepth,
-    dense: DenseDepth,
+    depth: FrameDepth,
 }
 
 impl Dense {
@@ -83,10 +83,9 @@ impl Dense {
     /// When a setting is out of range.
     pub fn new(name: &str, config: &Config, sequence: &Sequence) -> Result<Self> {
         let camera = sequence.camera;
-        let coarse = CoarseDepth::new(config.coarse.clone(), camera)?;
         let mount = sequence.mount.as_ref();
-        let dense = DenseDepth::new(config.dense.clone(), &camera, &coarse, mount);
-        Ok(Self { name: name.to_owned(), coarse, dense })
+        let depth = FrameDepth::new(&config.coarse, &config.dense, camera, mount)?;
+        Ok(Self { name: name.to_owned(), depth })
     }
 }
 
@@ -102,14 +101,15 @@ impl Engine for Dense {
         view: &View,
         _evaluated: bool,
     ) -> Result<Option<DepthEstimate>> {
-        if let Some((scan, t_odom_laser)) = &view.scan {
-            self.dense.see(scan, t_odom_laser);
-        }
-        match self.coarse.estimate(frame, pose) {
-            Err(why) if !why.has_image() => return Ok(None),
-            _ => self.dense.complete(&self.coarse, &view.moment),
-        }
-        Ok(Some(self.dense.last().clone()))
+        let shot = Shot {
+            frame,
+            t_odom_camera: *pose,
+            scan: view.scan.as_ref().map(|(scan, t_odom_laser)| (scan, *t_odom_laser)),
+            moment: view.moment,
+        };
+        let _ = self.depth.estimate(&shot);
+        self.depth.complete(&shot);
+        Ok(self.depth.dense().cloned())
     }
 }
 

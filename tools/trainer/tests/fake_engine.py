@@ -30,9 +30,11 @@ def dump(folder: Path, frames: Frames, begin: int) -> None:
     assert frames.coarse is not None
     file = folder / "dump.json"
     entries = json.loads(file.read_text())["frames"] if file.exists() else []
-    for index, planes in enumerate(frames.coarse, begin):
-        np.save(folder / f"{index:06}.npy", planes)
-        entries.append({"name": f"{index:06}", "time_ns": index * STEP_NS, "coarse": True})
+    assert frames.dense is not None
+    for index, (coarse, dense) in enumerate(zip(frames.coarse, frames.dense, strict=True), begin):
+        np.save(folder / f"{index:06}.npy", coarse)
+        np.save(folder / f"{index:06}_dense.npy", dense)
+        entries.append({"name": f"{index:06}", "time_ns": index * STEP_NS, "coarse": True, "dense": True})
     text = json.dumps({"format_version": 1, **asdict(frames.camera), "frames": entries})
     write_atomically(text.encode(), file)
 

@@ -69,6 +69,7 @@ def views(options: argparse.Namespace) -> None:
     frames = room(options.count, SIZE, options.seed)
     assert frames.truth_mm is not None
     assert frames.coarse is not None
+    assert frames.dense is not None
     entries = []
     for index in range(options.count):
         rotated = index % 4 == 3
@@ -76,9 +77,10 @@ def views(options: argparse.Namespace) -> None:
         np.save(options.out / f"{name}_rgb.npy", frames.rgb[index])
         np.save(options.out / f"{name}_truth.npy", frames.truth_mm[index])
         np.save(options.out / f"{name}.npy", frames.coarse[index])
+        np.save(options.out / f"{name}_dense.npy", frames.dense[index])
         pose = frames.t_world_camera[index].ravel().tolist()
         entry = {"name": name, "time_ns": index, "t_world_camera": pose, "rgb": True, "truth": True}
-        entries.append({**entry, "coarse": not rotated, "approach": "turn" if rotated else "drive"})
+        entries.append({**entry, "coarse": not rotated, "dense": True, "approach": "turn" if rotated else "drive"})
     index_ = {"format_version": 1, **asdict(frames.camera), "frames": entries}
     (options.out / "dump.json").write_text(json.dumps(index_))
 

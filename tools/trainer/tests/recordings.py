@@ -126,8 +126,10 @@ def dump_of(frames: Frames, folder: Path) -> None:
         valid = bool(planes[0].any())
         if valid:
             np.save(folder / f"{index:06}.npy", planes)
+        if frames.dense is not None:
+            np.save(folder / f"{index:06}_dense.npy", frames.dense[index])
         pose = frames.t_world_camera[index].ravel().tolist()
         entry = {"name": f"{index:06}", "time_ns": int(frames.time_ns[index]), "t_world_camera": pose}
-        entries.append({**entry, "coarse": valid, "rgb": False, "truth": False})
+        entries.append({**entry, "coarse": valid, "dense": frames.dense is not None, "rgb": False, "truth": False})
     camera = {key: getattr(frames.camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
     (folder / "dump.json").write_text(json.dumps({"format_version": 1, **camera, "frames": entries}))

@@ -60,8 +60,8 @@ def poses(count: int, seed: int) -> NDArray[np.float64]:
 
 
 def room(count: int, size: tuple[int, int] = (32, 96), seed: int = 0) -> Frames:
-    """A walk with ground truth, and coarse depth as it comes from ego-motion: correct within a few percent where
-    valid, missing on one side and at every rotation on the spot."""
+    """A walk with ground truth, coarse depth as it comes from ego-motion (correct within a few percent where valid,
+    missing on one side and at every rotation on the spot) and dense depth."""
     view = camera(*size)
     walk = poses(count, seed)
     random = np.random.default_rng(seed)
@@ -82,4 +82,11 @@ def room(count: int, size: tuple[int, int] = (32, 96), seed: int = 0) -> Frames:
         np.zeros(count, np.int32),
         truth,
         np.stack([coarse, confidence], 1),
+        _completed(coarse, confidence),
     )
+
+
+def _completed(coarse: NDArray[np.uint16], confidence: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Dense depth: coarse depth, and 2.5 m with a probability of 30 % in its holes."""
+    hole = coarse == 0
+    return np.stack([np.where(hole, 2500, coarse), np.where(hole, 19660, confidence)], 1).astype(np.uint16)

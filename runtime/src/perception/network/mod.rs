@@ -5,6 +5,7 @@
 //! | key | meaning | without it |
 //! |---|---|---|
 //! | `kind` | `rgb`, `rgb+coarse` or `rgb+volume` | names and shapes of the inputs |
+//! | `given_depth` | `coarse` or `dense`: the depth that the coarse input takes | `coarse` |
 //! | `output` | `depth` or `disparity` | name of the output |
 //! | `min_depth_m`, `max_depth_m` | range of the output, metres | 0.1, 20 |
 //! | `volume_min_depth_m`, `volume_max_depth_m` | nearest and farthest plane of the cost volume, metres | 0.3, 20 |
@@ -31,7 +32,7 @@ mod volume;
 
 pub use error::NetworkError;
 pub use options::{NetworkOptions, Provider};
-pub use spec::{DEFAULT_DEPTH_RANGE_M, InputKind, ModelSpec, OutputKind};
+pub use spec::{DEFAULT_DEPTH_RANGE_M, GivenDepth, InputKind, ModelSpec, OutputKind};
 
 use hal::{CameraModel, ImageView, PixelFormat, Pose3};
 use ort::environment::Environment;
@@ -132,9 +133,9 @@ impl DepthNetwork {
         })
     }
 
-    /// Depth of one RGB8 frame of the camera's size, taken at `t_odom_camera`. Models with coarse depth as input get planes
-    /// of zeros where `coarse` is `None`; others ignore it. Models with a cost volume compare with the frames of earlier
-    /// calls; others ignore the pose.
+    /// Depth of one RGB8 frame of the camera's size, taken at `t_odom_camera`. `given` is the frame's depth of the kind that the
+    /// model asks for ([`ModelSpec::given`]). Models with coarse depth as input get planes of zeros where it is `None`; others
+    /// ignore it. Models with a cost volume compare with the frames of earlier calls; others ignore the pose.
     ///
     /// # Errors
     /// [`NoDepth::FrameSize`] for another size or format; [`NoDepth::PoseNotFinite`] where the pose is needed;
@@ -144,9 +145,9 @@ impl DepthNetwork {
         &mut self,
         frame: ImageView<'_>,
         t_odom_camera: &Pose3,
-        coarse: Option<&DepthEstimate>,
+        given: Option<&DepthEstimate>,
     ) -> Result<&DepthEstimate, NoDepth> {
-        match self.try_estimate(frame, t_odom_camera, coarse) {
+        match self.try_estimate(frame, t_odom_camera, given) {
             Ok(()) => Ok(&self.estimate),
             Err(why) => {
                 self.refused += 1;
@@ -160,16 +161,16 @@ impl DepthNetwork {
         &mut self,
         frame: ImageView<'_>,
         t_odom_camera: &Pose3,
-        coarse: Option<&DepthEstimate>,
+        given: Option<&DepthEstimate>,
     ) -> Result<(), NoDepth> {
         let size = self.spec.size;
         if frame.format() != PixelFormat::Rgb8
             || (frame.width(), frame.height()) != size
-            || coarse.is_some_and(|c| (c.depth.width(), c.depth.height()) != size)
+            || given.is_some_and(|c| (c.depth.width(), c.depth.height()) != size)
         {
             return Err(NoDepth::FrameSize);
         }
-        self.write_inputs(frame.data(), t_odom_camera, coarse)?;
+        self.write_inputs(frame.data(), t_odom_camera, given)?;
         match self.run() {
             Ok(true) => Ok(()),
             Ok(false) => Err(NoDepth::NetworkOutput),
@@ -184,7 +185,7 @@ impl DepthNetwork {
         &mut self,
         rgb: &[u8],
         pose: &Pose3,
-        coarse: Option<&DepthEstimate>,
+        given: Option<&DepthEstimate>,
     ) -> Result<(), NoDepth> {
         let range_m = self.spec.depth_range_m;
         let joined = self.spec.input == InputKind::RgbCoarseJoined;
@@ -192,11 +193,11 @@ impl DepthNetwork {
             let (image, rest) = planes.split_at_mut(rgb.len());
             planes::write_rgb(rgb, image);
             if joined {
-                planes::write_coarse(coarse, range_m, rest);
+                planes::write_coarse(given, range_m, rest);
             }
         });
         if self.spec.input == InputKind::RgbAndCoarse {
-            self.session.write(SECOND, |planes| planes::write_coarse(coarse, range_m, planes));
+            self.session.write(SECOND, |planes| planes::write_coarse(given, range_m, planes));
         }
         if let Some(volume) = &mut self.volume {
             if !pose.to_matrix().iter().all(|number| number.is_finite()) {

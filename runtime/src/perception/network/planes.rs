@@ -173,6 +173,7 @@ mod tests {
     fn an_uncertainty_that_is_nan_makes_the_whole_output_invalid() {
         let spec = ModelSpec {
             input: crate::perception::network::InputKind::Rgb,
+            given: crate::perception::network::GivenDepth::Coarse,
             output: OutputKind::Depth,
             uncertainty: true,
             depth_range_m: (0.5, 5.0),

@@ -53,6 +53,15 @@ impl InputKind {
     }
 }
 
+/// The depth that a model with a coarse input is given (metadata `given_depth`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum GivenDepth {
+    /// Coarse depth, which has holes.
+    Coarse,
+    /// Dense depth: coarse depth, completed without a network.
+    Dense,
+}
+
 /// The meaning of the first channel of the output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OutputKind {
@@ -67,6 +76,8 @@ pub enum OutputKind {
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelSpec {
     pub input: InputKind,
+    /// The depth that the coarse input takes; without such an input it has no effect.
+    pub given: GivenDepth,
     pub output: OutputKind,
     /// Whether a second output channel holds ln b, where b is the Laplace scale of the error of ln depth.
     pub uncertainty: bool,
@@ -119,6 +130,7 @@ impl ModelSpec {
         check_stated_size(&metadata, camera)?;
         Ok(Self {
             input,
+            given: given_depth(&metadata)?,
             output: output_kind(&metadata, &output.name)?,
             uncertainty: output_port.shape[1] == 2,
             depth_range_m: depth_range(
@@ -238,6 +250,18 @@ fn check_kind(
     }
 }
 
+fn given_depth(metadata: &impl Fn(&str) -> Option<String>) -> Result<GivenDepth, NetworkError> {
+    match metadata("given_depth").as_deref() {
+        None | Some("coarse") => Ok(GivenDepth::Coarse),
+        Some("dense") => Ok(GivenDepth::Dense),
+        Some(value) => Err(NetworkError::Metadata {
+            key: "given_depth",
+            value: value.to_owned(),
+            allowed: "`coarse`, `dense`".to_owned(),
+        }),
+    }
+}
+
 fn check_stated_size(
     metadata: &impl Fn(&str) -> Option<String>,
     camera: (usize, usize),
@@ -340,6 +364,19 @@ mod tests {
             (spec.input, spec.output, spec.uncertainty),
             (InputKind::RgbCoarseJoined, OutputKind::Depth, true)
         );
+    }
+
+    #[test]
+    fn a_model_is_given_coarse_depth_unless_it_asks_for_dense_depth() {
+        let given = |metadata: &[(&str, &str)]| {
+            read(&[tensor("rgb", 3), tensor("coarse", 3)], tensor("depth", 1), metadata)
+                .map(|spec| spec.given)
+        };
+        assert_eq!(given(&[]), Ok(GivenDepth::Coarse));
+        assert_eq!(given(&[("given_depth", "coarse")]), Ok(GivenDepth::Coarse));
+        assert_eq!(given(&[("given_depth", "dense")]), Ok(GivenDepth::Dense));
+        let error = given(&[("given_depth", "sparse")]).unwrap_err();
+        assert!(matches!(error, NetworkError::Metadata { key: "given_depth", .. }), "{error}");
     }
 
     #[test]

@@ -15,6 +15,7 @@ from embodied_depth_trainer.data.dataset import read_frames
 from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
+from embodied_depth_trainer.networks.inputs import give, given_depth_of
 from embodied_depth_trainer.networks.registry import DEPTH_NETWORKS, build_network
 from embodied_depth_trainer.networks.runtime import OnnxNetwork
 from embodied_depth_trainer.processes import pick_device
@@ -71,12 +72,13 @@ def _chosen(options: argparse.Namespace) -> _Chosen:
         name = model.metadata.get("architecture", "")
         networks: dict[str, nn.Module] = {}
         if name in DEPTH_NETWORKS:
-            networks["untrained"] = build_network(name, model.depth_range_m, 0)
+            networks["untrained"] = give(build_network(name, model.depth_range_m, 0), given_depth_of(model))
         return _Chosen({**networks, model.title: model}, model.size, model.depth_range_m)
     if options.checkpoint is None:
         return _Chosen({})
     saved = checkpoints.load(options.checkpoint)
-    networks = {"untrained": build_network(saved.network, saved.depth_range_m, int(saved.settings["seed"]))}
+    untrained = build_network(saved.network, saved.depth_range_m, int(saved.settings["seed"]))
+    networks = {"untrained": give(untrained, saved.given_depth)}
     networks[f"{saved.network}, {saved.step} steps"] = saved.build()
     return _Chosen(networks, (saved.camera.height, saved.camera.width), saved.depth_range_m, saved.past_frames)
 

@@ -53,6 +53,7 @@ SETTINGS = Settings(
     coarse_weight=0.0,
     label_weight=1.0,
     uncertainty_weight=0.1,
+    given_depth="dense",
 )
 # A base with the wheel slip of a good robot, and a camera with automatic exposure under lamps and sun (keys of
 # robot.default.toml).

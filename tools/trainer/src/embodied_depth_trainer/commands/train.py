@@ -59,6 +59,12 @@ def add_train(command: argparse.ArgumentParser) -> None:
         "--steps", type=int, required=True, help="total number of steps; a training in --out continues from where it is"
     )
     command.add_argument("--out", type=Path, required=True, help="directory of the checkpoint and its experiment.toml")
+    command.add_argument(
+        "--given-depth",
+        choices=("coarse", "dense"),
+        default="coarse",
+        help="what the network is given besides the image: the robot's coarse depth, or its dense depth [coarse]",
+    )
     command.add_argument("--seed", type=int, default=0, help="seed of weights, sampling and augmentation [0]")
     command.add_argument("--batch", type=int, default=12, help="samples per step [12]")
     command.add_argument("--learning-rate", type=float, default=1e-4, help="learning rate of Adam [1e-4]")
@@ -172,6 +178,7 @@ def settings_of(options: argparse.Namespace, past: PastFrames | None) -> Setting
         encoder=options.encoder,
         init=chosen(options.init),
         amp=options.amp,
+        given_depth=options.given_depth,
         teacher_steps=options.teacher_steps,
         past_frames=past.count if past is not None else 0,
         past_gap=past.gap if past is not None else GAP,

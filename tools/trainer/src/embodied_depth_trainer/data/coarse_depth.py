@@ -1,8 +1,9 @@
-"""Reads the folder that `firmware-host perceive --dump` writes: coarse depth as the robot computes it."""
+"""Reads the folder that `firmware-host perceive --dump` writes: coarse and dense depth as the robot computes them."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodied_depth_trainer.data.frame_set import GivenDepth
 from embodied_depth_trainer.data.frames import Frames, Intrinsics
 from embodied_depth_trainer.errors import TrainerError
 
@@ -32,13 +34,21 @@ def _index(folder: Path) -> tuple[Intrinsics, list[dict[str, Any]]]:
     return Intrinsics(*(index[key] for key in ("width", "height", "fx", "fy", "cx", "cy"))), index["frames"]
 
 
-def _planes(folder: Path, camera: Intrinsics, entry: dict[str, Any]) -> NDArray[np.uint16]:
-    if not entry["coarse"]:
+def _planes(folder: Path, camera: Intrinsics, entry: dict[str, Any], kind: GivenDepth = "coarse") -> NDArray[np.uint16]:
+    if not entry.get(kind):
         return np.zeros((2, camera.height, camera.width), np.uint16)
-    planes: NDArray[np.uint16] = np.load(folder / f"{entry['name']}.npy", allow_pickle=False)
+    file = folder / f"{entry['name']}{'' if kind == 'coarse' else '_dense'}.npy"
+    planes: NDArray[np.uint16] = np.load(file, allow_pickle=False)
     if planes.shape != (2, camera.height, camera.width) or planes.dtype != np.uint16:
-        raise TrainerError(f"{folder}/{entry['name']}.npy is {planes.dtype}{planes.shape}; write the dump again")
+        raise TrainerError(f"{file} is {planes.dtype}{planes.shape}; write the dump again")
     return planes
+
+
+def _dense(folder: Path, camera: Intrinsics, entries: Sequence[dict[str, Any]]) -> NDArray[np.uint16] | None:
+    """Dense depth; `None` for a robot that computes none."""
+    if not any(entry.get("dense") for entry in entries):
+        return None
+    return np.stack([_planes(folder, camera, entry, "dense") for entry in entries])
 
 
 class CoarseDump:
@@ -53,6 +63,7 @@ class CoarseDump:
                 f"{folder} was made with {self.camera}, the recording with {frames.camera}; dump it again"
             )
         self.by_time = {int(entry["time_ns"]): entry for entry in entries}
+        self.has_dense = any(entry.get("dense") for entry in entries)
         missing = [int(time) for time in frames.time_ns if int(time) not in self.by_time]
         if missing:
             raise TrainerError(
@@ -61,9 +72,13 @@ class CoarseDump:
             )
 
     def added_to(self, frames: Frames) -> Frames:
-        """Frames of the recording with their coarse depth."""
-        planes = [_planes(self.folder, self.camera, self.by_time[int(time)]) for time in frames.time_ns]
-        return replace(frames, coarse=np.stack(planes))
+        """Frames of the recording with their coarse and dense depth."""
+        entries = [self.by_time[int(time)] for time in frames.time_ns]
+        coarse = np.stack([_planes(self.folder, self.camera, entry) for entry in entries])
+        dense = None
+        if self.has_dense:
+            dense = np.stack([_planes(self.folder, self.camera, entry, "dense") for entry in entries])
+        return replace(frames, coarse=coarse, dense=dense)
 
 
 def with_coarse(frames: Frames, folder: Path) -> Frames:
@@ -95,4 +110,5 @@ def read_dataset_dump(folder: Path) -> Frames:
         np.array([entry.get("view", 0) for entry in entries], np.int32),
         np.stack([truth(entry) for entry in entries]) if any(entry["truth"] for entry in entries) else None,
         np.stack([_planes(folder, camera, entry) for entry in entries]),
+        _dense(folder, camera, entries),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar, overload
+from typing import Generic, Literal, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from embodied_depth_trainer.data.frames import Intrinsics
 from embodied_depth_trainer.errors import TrainerError
 
+GivenDepth = Literal["coarse", "dense"]
+"""The depth that a network is given besides the image."""
 Value = TypeVar("Value", bound=np.generic)
 Value_co = TypeVar("Value_co", bound=np.generic, covariant=True)
 
@@ -51,6 +53,9 @@ class FrameSet(Protocol):
 
     @property
     def coarse(self) -> Planes[np.uint16] | None: ...
+
+    @property
+    def dense(self) -> Planes[np.uint16] | None: ...
 
     @property
     def labels(self) -> Planes[np.uint16] | None: ...
@@ -104,6 +109,7 @@ class LazyFrames:
     time_ns: NDArray[np.int64]
     run: NDArray[np.int32]
     coarse: Planes[np.uint16] | None
+    dense: Planes[np.uint16] | None
     labels: Planes[np.uint16] | None
     lidar: Planes[np.uint16] | None
     held_out: NDArray[np.bool_]
@@ -126,9 +132,32 @@ def joined(parts: Sequence[FrameSet], first_runs: Sequence[int]) -> LazyFrames:
         np.concatenate([part.time_ns for part in parts]),
         np.concatenate(runs).astype(np.int32),
         _all_or_none([part.coarse for part in parts]),
+        _all_or_none([part.dense for part in parts]),
         _all_or_none([part.labels for part in parts]),
         _all_or_none([part.lidar for part in parts]),
         np.concatenate([_held_out(part) for part in parts]),
+    )
+
+
+def giving(frames: FrameSet, depth: GivenDepth) -> LazyFrames:
+    """The frames with this depth in the place of coarse depth, as a network is given it."""
+    if depth == "dense" and frames.dense is None:
+        raise TrainerError(
+            "the network is given dense depth, which these frames lack; prepare the recordings again, or dump the "
+            "dataset again with this firmware-host"
+        )
+    given = frames.coarse if depth == "coarse" else frames.dense
+    return LazyFrames(
+        frames.camera,
+        frames.rgb,
+        frames.t_world_camera,
+        frames.time_ns,
+        frames.run,
+        given,
+        frames.dense,
+        frames.labels,
+        frames.lidar,
+        _held_out(frames),
     )
 
 

@@ -57,6 +57,8 @@ class Frames:
     """[N, H, W]; z-depth of the ground truth, 0: none. Only the evaluation reads it."""
     coarse: NDArray[np.uint16] | None = None
     """[N, 2, H, W]; coarse z-depth in millimetres (0: none) and confidence times 65535."""
+    dense: NDArray[np.uint16] | None = None
+    """The same of dense depth, which the robot makes of coarse depth without a network."""
     labels: NDArray[np.uint16] | None = None
     """[N, 2, h, w]; depth labels of the middle pixel of each of h x w cells, in the same units; see `labels.py`."""
     lidar: NDArray[np.uint16] | None = None
@@ -77,17 +79,20 @@ class Frames:
         return Frames(self.camera, **{key: value[chosen] for key, value in arrays.items()})
 
     def reduced(self, factor: int) -> Frames:
-        """Images by the mean, depths by the most confident (coarse) or the first (truth) pixel of each block: the mean
-        of depths across an edge would lie between both surfaces."""
+        """Images by the mean, depths by the most confident (coarse, dense) or the first (truth) pixel of each block:
+        the mean of depths across an edge would lie between both surfaces."""
         if factor == 1:
             return self
         camera = self.camera.reduced(factor)
         blocks = self.rgb.reshape(len(self), camera.height, factor, camera.width, factor, 3)
         rgb = np.stack([image.mean(axis=(1, 3)).round().astype(np.uint8) for image in blocks])
         truth = None if self.truth_mm is None else np.ascontiguousarray(self.truth_mm[:, ::factor, ::factor])
-        coarse = None if self.coarse is None else np.stack([_most_confident(planes, factor) for planes in self.coarse])
+        coarse, dense = (
+            None if depth is None else np.stack([_most_confident(planes, factor) for planes in depth])
+            for depth in (self.coarse, self.dense)
+        )
         lidar = None if self.lidar is None else _nearest_hits(self.lidar, factor)
-        return replace(self, camera=camera, rgb=rgb, truth_mm=truth, coarse=coarse, lidar=lidar)
+        return replace(self, camera=camera, rgb=rgb, truth_mm=truth, coarse=coarse, dense=dense, lidar=lidar)
 
     def reduced_to(self, size: tuple[int, int]) -> Frames:
         """Reduces the images to `size` rows x columns."""
@@ -145,6 +150,7 @@ def join(parts: Sequence[Frames]) -> Frames:
         np.concatenate([part.run + first for part, first in zip(parts, first_run, strict=False)]).astype(np.int32),
         all_or_none([part.truth_mm for part in parts]),
         all_or_none([part.coarse for part in parts]),
+        all_or_none([part.dense for part in parts]),
         all_or_none([part.labels for part in parts]),
         all_or_none([part.lidar for part in parts]),
         np.concatenate([held_out(part) for part in parts]),

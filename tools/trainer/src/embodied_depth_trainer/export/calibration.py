@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
 from embodied_depth_trainer.data.batches import coarse_planes, depth_planes, rgb_planes, to_depth
-from embodied_depth_trainer.data.frame_set import FrameSet
+from embodied_depth_trainer.data.frame_set import FrameSet, giving
 from embodied_depth_trainer.data.labels import CELL
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
@@ -57,12 +57,13 @@ def observe(model: Path, frames: FrameSet) -> Counts:
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     metadata = session.get_modelmeta().custom_metadata_map
     range_m = (float(metadata["min_depth_m"]), float(metadata["max_depth_m"]))
+    given = giving(frames, "dense" if metadata.get("given_depth") == "dense" else "coarse")
     low = math.log(SCALES[0])
     high = math.log(SCALES[1])
     counts = np.zeros((2, BINS))
     middle = CELL // 2
     for index in np.arange(len(frames))[:, None]:
-        inputs = {"rgb": rgb_planes(frames, index), "coarse": coarse_planes(frames, index, range_m)}
+        inputs = {"rgb": rgb_planes(frames, index), "coarse": coarse_planes(given, index, range_m)}
         found = session.run(None, {name: plane.numpy() for name, plane in inputs.items()})[0]
         if found.shape[1] != 2:
             raise TrainerError(f"{model} does not predict the scale of its error and cannot be calibrated")

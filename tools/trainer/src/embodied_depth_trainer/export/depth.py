@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from embodied_depth_trainer.export.onnx_writer import ExportError, random_image, write_onnx
 from embodied_depth_trainer.networks.cost_volume import REDUCTION
 from embodied_depth_trainer.networks.golden import golden_pair
+from embodied_depth_trainer.networks.inputs import given_depth_of
 from embodied_depth_trainer.networks.manydepth import PLANES, VOLUME_RANGE_M, ManyDepth
 from embodied_depth_trainer.networks.registry import DEPTH_NETWORKS, SIZE_STEP, build_network, takes_coarse
 from embodied_depth_trainer.networks.resnet import Padding
@@ -103,6 +104,7 @@ def _export(
         # Validity is 0 or 1 on the robot.
         coarse[:, 1] = (coarse[:, 1] > 0.5).float()
         inputs["coarse"] = coarse
+        provenance = {**provenance, "given_depth": given_depth_of(network)}
     if isinstance(network, ManyDepth):
         inputs["volume"] = 0.3 * torch.rand(
             1, PLANES, height // REDUCTION, width // REDUCTION, generator=torch.Generator().manual_seed(seed + 2)

@@ -52,6 +52,11 @@ class OnnxNetwork(nn.Module):
         return float(self.metadata["min_depth_m"]), float(self.metadata["max_depth_m"])
 
     @property
+    def given_depth(self) -> str:
+        """The depth that the network is given: `coarse` or `dense`."""
+        return self.metadata.get("given_depth", "coarse")
+
+    @property
     def title(self) -> str:
         return self.metadata.get("version", "network")
 

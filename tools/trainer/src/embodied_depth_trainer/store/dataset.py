@@ -97,6 +97,7 @@ def open_shard(folder: ArrayFolder, labels: ArrayFolder | None = None, every: in
         folder.load("time", np.int64, every),
         np.zeros(len(poses), np.int32),
         folder.array("coarse", np.uint16, every) if folder.meta["coarse"] else None,
+        folder.array("dense", np.uint16, every) if folder.meta["dense"] else None,
         None if labels is None else labels.array("labels", np.uint16, every),
         folder.array("lidar", np.uint16, every),
         folder.load("held_out", np.bool_, every),

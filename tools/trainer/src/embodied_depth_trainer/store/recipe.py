@@ -13,7 +13,7 @@ from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.data.teacher import TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 Coarse = Literal["robot", "past frames", "none"]
 
 

@@ -110,7 +110,7 @@ def _parts(job: ShardJob, frames: Frames, scratch: Path) -> Iterator[Frames]:
 
 @contextmanager
 def _dump(job: ShardJob, frames: Frames, scratch: Path) -> Iterator[CoarseDump | None]:
-    """The coarse depth that the robot's own engine computes of the segment, while the context lasts."""
+    """The coarse and dense depth that the robot's own engine computes of the segment, while the context lasts."""
     if job.recipe.coarse != "robot":
         yield None
         return
@@ -131,6 +131,8 @@ def _append(writer: FolderWriter, part: Frames) -> None:
     writer.append("rgb", part.rgb)
     if part.coarse is not None:
         writer.append("coarse", part.coarse)
+    if part.dense is not None:
+        writer.append("dense", part.dense)
     writer.append("lidar", part.lidar)
     writer.append("pose", part.t_world_camera)
     writer.append("time", part.time_ns)
@@ -145,6 +147,7 @@ def _described(segment: Segment, part: Frames, recipe: Recipe) -> dict[str, Any]
         "frames": len(segment.frames),
         "camera": asdict(part.camera),
         "coarse": part.coarse is not None,
+        "dense": part.dense is not None,
         "has_lidar": bool(segment.frames.lidar.any()),
         "damage": segment.damage,
         "recipe": recipe.digest,

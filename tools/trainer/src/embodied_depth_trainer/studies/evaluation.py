@@ -91,8 +91,8 @@ def _errors(depth: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[flo
 
 def evaluate(frames: Frames, networks: dict[str, nn.Module], depth_range_m: tuple[float, float]) -> dict[str, Metrics]:
     """Mean metrics of the constant (each image's median of the truth), of coarse depth as it is and with its holes
-    filled, and of every network: on all pixels, on those whose confidence suffices for the map, and on those that have
-    coarse depth."""
+    filled, of dense depth, and of every network: on all pixels, on those whose confidence suffices for the map, and on
+    those that have coarse depth."""
     if frames.truth_mm is None:
         raise TrainerError(
             "the frames have no ground truth; record with `firmware-host explore --depth truth`, "
@@ -111,6 +111,10 @@ def evaluate(frames: Frames, networks: dict[str, nn.Module], depth_range_m: tupl
             depths[FILLED] = np.stack([fill_nearest(depth) for depth in depths["coarse"]])
             predicted = frames.coarse[index, 1].astype(np.float32) / FULL_CONFIDENCE
             reliabilities.setdefault("coarse", _Reliability()).add(depths["coarse"], predicted, truth)
+        if frames.dense is not None:
+            depths["dense"] = frames.dense[index, 0].astype(np.float32) / 1000
+            predicted = frames.dense[index, 1].astype(np.float32) / FULL_CONFIDENCE
+            reliabilities.setdefault("dense", _Reliability()).add(depths["dense"], predicted, truth)
         for name, network in networks.items():
             depth, confidence = predict(network, frames, index, depth_range_m)
             depths[name] = depth

@@ -64,6 +64,7 @@ def take(frames: Frames, which: NDArray[np.bool_]) -> Frames:
         run=frames.run[which],
         truth_mm=None if frames.truth_mm is None else frames.truth_mm[which],
         coarse=None if frames.coarse is None else frames.coarse[which],
+        dense=None if frames.dense is None else frames.dense[which],
     )
 
 

@@ -14,10 +14,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from embodied_depth_trainer.data.frame_set import GivenDepth
 from embodied_depth_trainer.data.frames import Intrinsics
 from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
+from embodied_depth_trainer.networks.inputs import give
 from embodied_depth_trainer.networks.registry import build_network
 
 FORMAT_VERSION = 1
@@ -51,11 +53,16 @@ class Checkpoint:
         count = self.settings.get("past_frames", 0)
         return PastFrames(count, self.settings["past_gap"]) if count else None
 
+    @property
+    def given_depth(self) -> GivenDepth:
+        """The depth that the network is given."""
+        return "dense" if self.settings.get("given_depth") == "dense" else "coarse"
+
     def build(self) -> nn.Module:
         """The network with its weights, in evaluation mode."""
         network = build_network(self.network, self.depth_range_m, 0)
         network.load_state_dict(self.weights)
-        return network.eval()
+        return give(network.eval(), self.given_depth)
 
 
 def save(checkpoint: Checkpoint, file: Path) -> None:

@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from embodied_depth_trainer.data.frame_set import FrameSet
+from embodied_depth_trainer.data.frame_set import FrameSet, GivenDepth
 from embodied_depth_trainer.data.past_frames import GAP
 from embodied_depth_trainer.losses.reprojection import LossOptions
 from embodied_depth_trainer.training.initial import identity
@@ -40,6 +40,8 @@ class Settings:
     2017), for trainings without an end."""
     teacher_steps: int = 2000
     """Number of steps for which ManyDepth's single-frame teacher is trained."""
+    given_depth: GivenDepth = "coarse"
+    """The depth that the network is given: the robot's coarse depth, or its dense depth."""
     past_frames: int = 0
     """Number of past frames that coarse depth is computed from, as in the paper; 0: the robot's own coarse depth. See
     `past_frames.py`."""

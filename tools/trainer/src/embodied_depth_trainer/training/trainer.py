@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from embodied_depth_trainer import processes
 from embodied_depth_trainer.data.batches import Batch, coarse_dropout_mask, make_batch, to_depth
-from embodied_depth_trainer.data.frame_set import FrameSet
+from embodied_depth_trainer.data.frame_set import FrameSet, giving
 from embodied_depth_trainer.data.pairs import Pairs
 from embodied_depth_trainer.data.prefetch import Prefetcher
 from embodied_depth_trainer.data.projection import Projector
@@ -30,7 +30,7 @@ from embodied_depth_trainer.losses.reprojection import View, supervision_parts
 from embodied_depth_trainer.networks.cost_volume import volume_planes
 from embodied_depth_trainer.networks.exported import average_longer, restore_statistics
 from embodied_depth_trainer.networks.imagenet_weights import load_imagenet
-from embodied_depth_trainer.networks.inputs import second_input
+from embodied_depth_trainer.networks.inputs import give, second_input
 from embodied_depth_trainer.networks.manydepth import ManyDepth, VolumeAugmentation
 from embodied_depth_trainer.networks.registry import SIZE_STEP, build_network, output_of, takes_coarse
 from embodied_depth_trainer.training import checkpoint as checkpoints
@@ -98,6 +98,7 @@ class Trainer:
             raise TrainerError(
                 "--lidar-weight needs LiDAR scans, which only recordings have; give --store instead of --dataset"
             )
+        frames = giving(frames, settings.given_depth)
         self.frames = frames
         self.pairs = pairs
         self.settings = settings
@@ -110,7 +111,7 @@ class Trainer:
             average_longer(network)
         # Channels last, which convolutions on CPUs prefer.
         network = network.to(device).to(memory_format=torch.channels_last)
-        self.network = processes.share_batch_norms(network)
+        self.network = give(processes.share_batch_norms(network), settings.given_depth)
         if takes_coarse(self.network) and frames.coarse is None:
             raise TrainerError(
                 f"`{settings.network}` takes coarse depth, which these frames lack; prepare the recordings without "
@@ -158,6 +159,9 @@ class Trainer:
         targets, sources = self.pairs.sample(self.settings.batch, random)
         augment = random if self.settings.augment else None
         batch = make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
+        if self.settings.given_depth == "dense":
+            # It has no holes that the network would have to learn to fill.
+            batch = replace(batch, coarse=batch.coarse_full)
         batch = self._with_volume(batch, augment) if isinstance(self.network, ManyDepth) else batch
         width = self.settings.crop_width
         if width:
@@ -172,7 +176,7 @@ class Trainer:
         batch = make_batch(self.frames, one, sources[None], self.settings.depth_range_m, None, self.device)
         if isinstance(self.network, ManyDepth):
             return self._with_volume(batch, None)
-        if self.settings.augment and self.frames.coarse is not None:
+        if self.settings.augment and self.settings.given_depth == "coarse" and self.frames.coarse is not None:
             kept = coarse_dropout_mask(batch.coarse.shape, np.random.default_rng([VALIDATION_SEED, target]))
             batch = replace(batch, coarse=batch.coarse * kept.to(batch.coarse.device))
         return batch
