@@ -196,8 +196,7 @@ impl Evaluator {
                 }
             }
         }
-        let depths =
-            FrameDepths { coarse, dense, network: refined, truth: sample.truth.as_ref() };
+        let depths = FrameDepths { coarse, dense, network: refined, truth: sample.truth.as_ref() };
         self.sheet.offer(index, depths.count(), || SheetRow::capture(index, &frame, &depths));
         Ok(Depths { coarse, dense })
     }

@@ -70,7 +70,11 @@ impl Pose2 {
     #[must_use]
     pub fn of_level(pose: &Pose3) -> Self {
         let ahead = pose.rotation * Vector3::x();
-        Self::new(pose.translation.x, pose.translation.y, nalgebra::RealField::atan2(ahead.y, ahead.x))
+        Self::new(
+            pose.translation.x,
+            pose.translation.y,
+            nalgebra::RealField::atan2(ahead.y, ahead.x),
+        )
     }
 
     /// Whether every component is finite. A pose that is not finite must be refused, never

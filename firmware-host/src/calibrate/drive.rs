@@ -179,4 +179,3 @@ impl Clock {
         (time_ns as f64 - begin_ns as f64) * 1e-9
     }
 }
-

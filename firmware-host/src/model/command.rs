@@ -285,12 +285,13 @@ fn print_measured(examination: &Examination, verdict: &Verdict) {
     {
         for (measure, paired) in others {
             println!(
-                "  {}: {:.4}, {other} {:.4} (difference {:+.4} to {:+.4})",
+                "  {}: {:.4}, {other} {:.4} (difference {:+.4} to {:+.4}, {:.1} %)",
                 measure.name(),
                 paired.candidate,
                 paired.resident,
                 paired.lower,
-                paired.upper
+                paired.upper,
+                100.0 * paired.coverage
             );
         }
     }

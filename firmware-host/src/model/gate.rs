@@ -73,6 +73,12 @@ pub enum Refusal {
 }
 
 impl Refusal {
+    /// Whether the model was compared with the resident one.
+    #[must_use]
+    pub fn was_compared(&self) -> bool {
+        matches!(self, Self::Judged(verdict) if !verdict.compared.is_empty())
+    }
+
     /// The kind of refusal as a word, for logs and JSON.
     #[must_use]
     pub fn kind(&self) -> &'static str {
@@ -124,7 +130,8 @@ impl Gate {
                 verdict: Box::new(verdict),
             }),
             Err(why) => {
-                store.note(Entry::now(What::Refused, &digest, &bundle.name, why.to_string()));
+                let entry = Entry::now(What::Refused, &digest, &bundle.name, why.to_string());
+                store.note(Entry { was_compared: why.was_compared(), ..entry });
                 Ok(Outcome::Refused { name: bundle.name.clone(), digest, why })
             }
         }
@@ -159,7 +166,8 @@ impl Gate {
             Ended::Unfit(unfit) => return Ok(Err(unfit.into())),
             Ended::Died { doing, how } => return Ok(Err(Refusal::Died { doing, how })),
         };
-        let verdict = judge(&examination, has_resident, self.unproven, &self.limits);
+        let limits = GateLimits { tries: store.history().tries().saturating_add(1), ..self.limits };
+        let verdict = judge(&examination, has_resident, self.unproven, &limits);
         if !verdict.is_accepted() {
             return Ok(Err(Refusal::Judged(Box::new(verdict))));
         }

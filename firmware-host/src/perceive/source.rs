@@ -104,11 +104,11 @@ impl Source {
     /// All images in time order.
     pub fn views(&self) -> Box<dyn Iterator<Item = Result<View>> + '_> {
         match &self.images {
-            Images::Dataset(dataset) => Box::new(
-                dataset.samples().map(|sample| {
+            Images::Dataset(dataset) => {
+                Box::new(dataset.samples().map(|sample| {
                     Ok(View { sample: sample?, scan: None, moment: Moment::HANDHELD })
-                }),
-            ),
+                }))
+            }
             Images::Recording(recording) => Box::new(
                 recording
                     .ticks()

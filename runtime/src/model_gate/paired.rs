@@ -2,14 +2,14 @@
 //!
 //! For each frame the difference d = candidate - resident of an error counts (a larger error is
 //! worse). Frames from one place are not independent, so the unit is the place: the mean of d over its
-//! frames. Student's t gives the bounds of the mean over places (5 % on each side), which hold with
-//! few places, too: a percentile bootstrap over three places would accept a model at the margin in 20 %
+//! frames. Student's t gives the bounds of the mean over places, which hold with few places, too: a percentile bootstrap over three places would accept a model at the margin in 20 %
 //! of all cases instead of 5 % (simulated). The candidate is shown to be as good if the upper bound is within the
 //! margin (a non-inferiority test), and shown to be worse if the lower bound is above 0.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::PoseBin;
 
@@ -28,12 +28,20 @@ pub struct Paired {
     pub lower: f64,
     /// Upper confidence bound of the mean difference over places.
     pub upper: f64,
+    /// Probability that the true difference is within the bounds.
+    #[serde(default = "ninety_percent")]
+    pub coverage: f64,
 }
 
-/// Compares the errors of frames, each as (pose bin, candidate's error, resident's error); `None` with
-/// frames of fewer than two places, which have no bounds.
+/// The coverage of comparisons of builds that did not note it.
+fn ninety_percent() -> f64 {
+    0.9
+}
+
+/// Compares the errors of frames, each as (pose bin, candidate's error, resident's error). The true difference is beyond each
+/// bound with a probability of `error`. `None` with frames of fewer than two places, which have no bounds.
 #[must_use]
-pub fn compare(errors: &[(PoseBin, f64, f64)]) -> Option<Paired> {
+pub fn compare(errors: &[(PoseBin, f64, f64)], error: f64) -> Option<Paired> {
     let mut bins: BTreeMap<PoseBin, (f64, f64)> = BTreeMap::new();
     let mut candidate = 0.0;
     let mut resident = 0.0;
@@ -51,7 +59,7 @@ pub fn compare(errors: &[(PoseBin, f64, f64)]) -> Option<Paired> {
     let count = places.len() as f64;
     let mean = places.iter().sum::<f64>() / count;
     let variance = places.iter().map(|place| (place - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    let reach = t_quantile(places.len() - 1) * (variance / count).sqrt();
+    let reach = t_quantile(places.len() - 1, error) * (variance / count).sqrt();
     Some(Paired {
         frames: errors.len(),
         places: places.len(),
@@ -59,22 +67,15 @@ pub fn compare(errors: &[(PoseBin, f64, f64)]) -> Option<Paired> {
         resident: resident / errors.len() as f64,
         lower: mean - reach,
         upper: mean + reach,
+        coverage: 1.0 - 2.0 * error,
     })
 }
 
-/// The 95 % quantile of Student's t with this number of degrees of freedom: from a table up to eight, and by the expansion of
-/// Cornish and Fisher beyond (Abramowitz and Stegun 26.7.5; off by less than 0.002).
-fn t_quantile(freedom: usize) -> f64 {
-    const TABLE: [f64; 9] = [f64::INFINITY, 6.314, 2.920, 2.353, 2.132, 2.015, 1.943, 1.895, 1.860];
-    /// The quantile of the normal distribution.
-    const NORMAL: f64 = 1.644_854;
-    TABLE.get(freedom).copied().unwrap_or_else(|| {
-        let n = freedom as f64;
-        let z = NORMAL;
-        let first = (z.powi(3) + z) / 4.0;
-        let second = (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / 96.0;
-        z + first / n + second / (n * n)
-    })
+/// How many standard errors the bound of a mean is away from it, with this number of degrees of freedom (at least 1) and this
+/// probability that the true mean is beyond the bound. Infinity for a probability that no interval has.
+fn t_quantile(freedom: usize, error: f64) -> f64 {
+    let t = StudentsT::new(0.0, 1.0, freedom as f64);
+    t.map_or(f64::INFINITY, |t| t.inverse_cdf(1.0 - error))
 }
 
 #[cfg(test)]
@@ -82,6 +83,9 @@ mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64Mcg;
+
+    /// 5 % on each side.
+    const ERROR: f64 = 0.05;
 
     fn bin(x: i64) -> PoseBin {
         PoseBin { x, y: 0, sector: 0 }
@@ -105,11 +109,11 @@ mod tests {
     fn the_difference_of_equal_models_is_zero() {
         let same: Vec<_> =
             errors(20, 10, 0.0, 1).iter().map(|(bin, _, error)| (*bin, *error, *error)).collect();
-        let paired = compare(&same).unwrap();
+        let paired = compare(&same, ERROR).unwrap();
         assert_eq!((paired.lower, paired.upper, paired.places, paired.frames), (0.0, 0.0, 20, 200));
-        assert_eq!(compare(&[]), None);
+        assert_eq!(compare(&[], ERROR), None);
         assert_eq!(
-            compare(&[(bin(0), 0.2, 0.1), (bin(0), 0.3, 0.1)]),
+            compare(&[(bin(0), 0.2, 0.1), (bin(0), 0.3, 0.1)], ERROR),
             None,
             "one place has no bounds"
         );
@@ -118,7 +122,7 @@ mod tests {
     #[test]
     fn the_bounds_contain_the_true_difference_nine_times_in_ten() {
         let within = (0..200).filter(|seed| {
-            let paired = compare(&errors(25, 4, 0.01, *seed)).unwrap();
+            let paired = compare(&errors(25, 4, 0.01, *seed), ERROR).unwrap();
             paired.lower <= 0.01 && 0.01 <= paired.upper
         });
         let within = within.count();
@@ -127,11 +131,17 @@ mod tests {
 
     #[test]
     fn the_quantiles_are_those_of_the_tables() {
-        for (freedom, expected) in
-            [(1, 6.314), (4, 2.132), (5, 2.015), (8, 1.860), (11, 1.796), (24, 1.711), (120, 1.658)]
-        {
-            let found = t_quantile(freedom);
-            assert!((found - expected).abs() < 0.002, "{freedom}: {found}");
+        for (freedom, error, expected) in [
+            (1, 0.05, 6.314),
+            (4, 0.05, 2.132),
+            (11, 0.05, 1.796),
+            (120, 0.05, 1.658),
+            (2, 0.005, 9.925),
+            (10, 0.001, 4.144),
+            (30, 0.0005, 3.646),
+        ] {
+            let found = t_quantile(freedom, error);
+            assert!((found - expected).abs() < 0.001, "{freedom}, {error}: {found}");
         }
     }
 
@@ -142,7 +152,7 @@ mod tests {
         let passed = (0..4000).filter(|_| {
             let rows: Vec<_> =
                 (0..places).map(|place| (bin(place), MARGIN + noise(&mut rng), 0.0)).collect();
-            compare(&rows).unwrap().upper <= MARGIN
+            compare(&rows, ERROR).unwrap().upper <= MARGIN
         });
         passed.count() as f64 / 4000.0
     }
@@ -169,7 +179,7 @@ mod tests {
     #[test]
     fn more_frames_of_the_same_places_do_not_narrow_the_bounds() {
         let [few, many] = [2, 100].map(|per_place| {
-            let paired = compare(&errors(8, per_place, 0.0, 3)).unwrap();
+            let paired = compare(&errors(8, per_place, 0.0, 3), ERROR).unwrap();
             paired.upper - paired.lower
         });
         assert!((many / few - 1.0).abs() < 0.2, "{many} {few}");

@@ -24,6 +24,9 @@ pub struct GateLimits {
     pub delta1_margin: f64,
     /// The candidate's Brier score of the confidence may exceed the resident's by this.
     pub brier_margin: f64,
+    /// Number of this try: one more than the models that were compared with the resident since it is kept. The bounds of every
+    /// further try are wider ([`error`](Self::error)), because of many equal tries one succeeds by chance.
+    pub tries: u32,
     /// Without a resident model: the minimum share of right depths against the LiDAR.
     pub least_delta1: f64,
     /// Maximum share of the obstacles that coarse depth sees and the candidate loses, as the mean over the frames
@@ -51,6 +54,7 @@ impl Default for GateLimits {
             abs_rel_margin: 0.03,
             delta1_margin: 0.03,
             brier_margin: 0.03,
+            tries: 1,
             least_delta1: 0.3,
             lost_near: 0.05,
             lost_at_a_place: 0.25,
@@ -58,6 +62,18 @@ impl Default for GateLimits {
             p99_ms: 60.0,
             p99_over_resident: 1.1,
         }
+    }
+}
+
+/// Probability that a model at the margin passes one comparison at the first try.
+const FIRST_ERROR: f64 = 0.05;
+
+impl GateLimits {
+    /// Probability that a model at the margin passes a comparison at this try: 5 % at the first one, 5 % / n^2 at the n-th. Over
+    /// any number of tries that is at most 5 % pi^2 / 6 = 8.2 % (alpha spending).
+    #[must_use]
+    pub fn error(&self) -> f64 {
+        FIRST_ERROR / f64::from(self.tries.max(1)).powi(2)
     }
 }
 
@@ -213,21 +229,21 @@ pub enum RefusalReason {
     LosesNear { what: NearRange, at_a_place: bool, lost: f64, most: f64 },
     /// The candidate is shown to be worse than the resident model by this measure.
     #[error(
-        "worse than the resident model: {} is {:.4}, the resident's {:.4}; the difference is {:.4} to {:.4} (90 %) over {} frames of {} places, allowed: {margin:.4}; train it on more of this robot's recordings",
-        measure.name(), paired.candidate, paired.resident, paired.lower, paired.upper, paired.frames, paired.places
+        "worse than the resident model: {} is {:.4}, the resident's {:.4}; the difference is {:.4} to {:.4} ({:.1} %) over {} frames of {} places, allowed: {margin:.4}; train it on more of this robot's recordings",
+        measure.name(), paired.candidate, paired.resident, paired.lower, paired.upper, 100.0 * paired.coverage, paired.frames, paired.places
     )]
     Worse { measure: Measure, paired: Paired, margin: f64 },
     /// The difference to the resident model may exceed the margin, but the candidate is not shown
     /// to be worse.
     #[error(
-        "not shown to be as good as the resident model: {} differs by {:.4} to {:.4} (90 %) over {} frames of {} places, allowed: {margin:.4}; let the robot record more places and install it again",
-        measure.name(), paired.lower, paired.upper, paired.frames, paired.places
+        "not shown to be as good as the resident model: {} differs by {:.4} to {:.4} ({:.1} %) over {} frames of {} places, allowed: {margin:.4}; let the robot record more places and install it again",
+        measure.name(), paired.lower, paired.upper, 100.0 * paired.coverage, paired.frames, paired.places
     )]
     NotShown { measure: Measure, paired: Paired, margin: f64 },
     /// The candidate is shown to be worse than dense depth, which needs no network.
     #[error(
-        "worse than dense depth, which needs no network: {} is {:.4} instead of {:.4}; the difference is {:.4} to {:.4} (90 %) over {} frames of {} places; train it longer or on more recordings, or use none",
-        measure.name(), paired.candidate, paired.resident, paired.lower, paired.upper, paired.frames, paired.places
+        "worse than dense depth, which needs no network: {} is {:.4} instead of {:.4}; the difference is {:.4} to {:.4} ({:.1} %) over {} frames of {} places; train it longer or on more recordings, or use none",
+        measure.name(), paired.candidate, paired.resident, paired.lower, paired.upper, 100.0 * paired.coverage, paired.frames, paired.places
     )]
     WorseThanDense { measure: Measure, paired: Paired },
     /// Inference takes longer than allowed.
@@ -298,8 +314,10 @@ pub fn judge(
         refused.push(RefusalReason::BadOutput { bad, of: count });
     }
     let resident = |frame: &ScoredFrame| frame.resident.filter(|_| has_resident);
-    let compared = compare_all(frames, resident, limits);
-    let beside_dense = compare_all(frames, |frame| frame.without_network, limits);
+    let compared = compare_all(frames, resident, limits.error(), limits);
+    // A worse model does not become better by trying again: this bound is the same at every try.
+    let without_network = |frame: &ScoredFrame| frame.without_network;
+    let beside_dense = compare_all(frames, without_network, FIRST_ERROR, limits);
     let enough = count >= limits.min_frames
         && places >= limits.min_places
         && !(has_resident && compared.is_empty());
@@ -398,14 +416,17 @@ fn implausible(
 fn compare_all(
     frames: &[ScoredFrame],
     other: impl Fn(&ScoredFrame) -> Option<FrameScore>,
+    error: f64,
     limits: &GateLimits,
 ) -> Vec<(Measure, Paired)> {
     Measure::ALL
         .into_iter()
         .filter_map(|measure| {
-            let errors: Vec<(PoseBin, f64, f64)> =
-                frames.iter().filter_map(|frame| measure.errors(frame, other(frame).as_ref())).collect();
-            let paired = compare(&errors)?;
+            let errors: Vec<(PoseBin, f64, f64)> = frames
+                .iter()
+                .filter_map(|frame| measure.errors(frame, other(frame).as_ref()))
+                .collect();
+            let paired = compare(&errors, error)?;
             let enough = paired.frames >= limits.min_frames && paired.places >= limits.min_places;
             enough.then_some((measure, paired))
         })
@@ -540,6 +561,29 @@ mod tests {
     }
 
     #[test]
+    fn each_further_try_needs_a_clearer_result_and_all_tries_together_err_in_less_than_a_tenth() {
+        let mut examination = scored(1.0, Some(1.0));
+        for frame in &mut examination.frames {
+            frame.resident = frame.candidate;
+            let line = frame.candidate.as_mut().unwrap().line.as_mut().unwrap();
+            line.abs_rel += if frame.bin.x % 2 == 0 { 0.03 } else { -0.03 };
+        }
+        let at_try = |tries| {
+            judge(&examination, true, false, &GateLimits { tries, ..GateLimits::default() })
+        };
+        assert!(at_try(1).is_accepted());
+        let refused = at_try(8).refused;
+        assert!(
+            matches!(refused[..], [RefusalReason::NotShown { measure: Measure::AbsRel, .. }]),
+            "{refused:?}"
+        );
+        assert!(refused[0].to_string().contains("(99.8 %)"), "{}", refused[0]);
+        let all: f64 =
+            (1..10_000).map(|tries| GateLimits { tries, ..GateLimits::default() }.error()).sum();
+        assert!(all < 0.1, "{all}");
+    }
+
+    #[test]
     fn nan_output_is_refused_whatever_the_other_scores_are() {
         let mut examination = scored(0.5, Some(1.0));
         examination.frames[17].candidate = None;
@@ -656,7 +700,8 @@ mod tests {
     }
 
     #[test]
-    fn a_model_that_is_worse_than_dense_depth_is_named_and_refused_where_the_operator_asks_for_that() {
+    fn a_model_that_is_worse_than_dense_depth_is_named_and_refused_where_the_operator_asks_for_that()
+     {
         let mut examination = scored(1.2, None);
         for frame in &mut examination.frames {
             frame.without_network = Some(score(1.0, 0.001));
