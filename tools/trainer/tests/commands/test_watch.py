@@ -13,6 +13,9 @@ import pytest
 from embodied_depth_trainer.commands import watch as watching
 from embodied_depth_trainer.commands.watch import STATE_FILE, Watch, WatchSettings, watch
 from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.export.provenance import Provenance
+from embodied_depth_trainer.store.store import Store
+from embodied_depth_trainer.store.version import remembered
 from embodied_depth_trainer.training import checkpoint as checkpoints
 
 from ..fake_robot import walk, wheels
@@ -116,3 +119,15 @@ def test_a_segment_without_an_index_counts_only_once_it_is_complete(settings: Wa
 
 def test_a_directory_that_does_not_exist_yet_holds_no_frames(settings: WatchSettings) -> None:
     assert Watch(settings).look() == 0
+
+
+def test_a_network_names_the_recordings_of_every_round(settings: WatchSettings) -> None:
+    pull(settings.pulled, "robot/monday", 0)
+    watch(settings)
+    pull(settings.pulled, "robot/monday", 1)
+    (network,) = watch(replace(settings, rounds=2))
+    provenance = Provenance(network)
+    assert [(period["from_step"], period["frames"]) for period in provenance.history] == [(0, 12), (2, 24)]
+    assert provenance.metadata["parent"].startswith("default.onnx sha256:")
+    known = [remembered(name, [Store(settings.work / "store")]) for name in provenance.datasets]
+    assert [len(version.shards) for version in known] == [1, 2]

@@ -21,6 +21,6 @@ def add_calibrate(command: argparse.ArgumentParser) -> None:
 
 def run_calibrate(options: argparse.Namespace) -> None:
     torch.set_num_threads(1)
-    frames = open_dataset([Store(folder) for folder in options.store], every=options.every).frames
-    found, counts = calibration.calibrate(options.model, frames, options.out)
-    print(f"{options.out}: from {len(frames)} frames, {calibration.table(counts, found)}")
+    dataset = open_dataset([Store(folder) for folder in options.store], every=options.every)
+    found, counts = calibration.calibrate(options.model, dataset.frames, options.out, dataset.summary)
+    print(f"{options.out}: from {len(dataset.frames)} frames, {calibration.table(counts, found)}")

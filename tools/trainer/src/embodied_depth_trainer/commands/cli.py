@@ -18,6 +18,7 @@ from embodied_depth_trainer.commands import (
     loop,
     make_default,
     prepare,
+    provenance,
     results,
     train,
     watch,
@@ -43,7 +44,7 @@ COMMANDS = (
         "catalogue",
         catalogue.add_catalogue,
         catalogue.run_catalogue,
-        "answer questions about the segments of a store, in SQL",
+        "answer questions about the segments of a store in SQL, and freeze sets of them",
     ),
     ("train", train.add_train, train.run_train, "train a depth network on recordings, without a depth sensor"),
     (
@@ -78,6 +79,12 @@ COMMANDS = (
         watch.add_watch,
         watch.run_watch,
         "train on recordings as pull-buffer brings them, and pass each network to a command",
+    ),
+    (
+        "provenance",
+        provenance.add_provenance,
+        provenance.run_provenance,
+        "say what a model was trained on, from which weights and for how many steps",
     ),
     ("export", export.add_export, export.run_export, "export a trained network as an ONNX file for the robot"),
 )

@@ -24,7 +24,7 @@ from embodied_depth_trainer.export.calibration import calibrate, table
 from embodied_depth_trainer.export.depth import export_checkpoint
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.processes import pick_device
-from embodied_depth_trainer.store.dataset import Dataset, open_dataset
+from embodied_depth_trainer.store.dataset import Dataset, open_dataset, record_version
 from embodied_depth_trainer.store.pair_index import find_pairs
 from embodied_depth_trainer.store.prepare import Tools, prepare
 from embodied_depth_trainer.store.recipe import Recipe, engine_of
@@ -115,7 +115,8 @@ def make_default(robot: Path, work: Path, out: Path, settings: Settings = SETTIN
     the largest difference between ONNX Runtime and PyTorch."""
     dataset = _dataset(robot, RUNS, FRAMES, work, "store")
     pairs, validation = find_pairs(dataset, None, PairRule())
-    trainer = Trainer(dataset.frames, pairs, settings, device)
+    trainer = Trainer(dataset.frames, pairs, settings, device, dataset=dataset.summary)
+    record_version(dataset, work / "training")
     _log(f"training on {len(pairs)} of {len(dataset.frames)} frames")
     with Progress(trainer, validation, STEPS, work / "training") as progress:
         checkpoint = train(trainer, STEPS, work / "training", on_step=progress)
@@ -123,7 +124,7 @@ def make_default(robot: Path, work: Path, out: Path, settings: Settings = SETTIN
     uncalibrated = work / "uncalibrated.onnx"
     difference = export_checkpoint(checkpoint, None, uncalibrated)
     further = _dataset(robot, CALIBRATION_RUNS, CALIBRATION_FRAMES, work, "calibration-store")
-    calibration, counts = calibrate(uncalibrated, further.frames, out)
+    calibration, counts = calibrate(uncalibrated, further.frames, out, further.summary)
     _log(table(counts, calibration))
     return difference
 

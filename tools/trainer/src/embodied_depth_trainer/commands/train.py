@@ -30,9 +30,10 @@ from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.losses.recipes import recipe
 from embodied_depth_trainer.losses.reprojection import LossOptions
-from embodied_depth_trainer.store.dataset import open_dataset
+from embodied_depth_trainer.store.dataset import open_dataset, record_version
 from embodied_depth_trainer.store.pair_index import find_pairs
 from embodied_depth_trainer.store.store import Store, past_of
+from embodied_depth_trainer.store.version import DATASET_FILE, read_version
 from embodied_depth_trainer.training.initial import chosen
 from embodied_depth_trainer.training.progress import Progress, draw
 from embodied_depth_trainer.training.settings import Settings
@@ -48,6 +49,13 @@ NOT_RECORDED = ("command", "run_command", "experiment")
 def add_train(command: argparse.ArgumentParser) -> None:
     add_stores(command)
     add_dumps(command)
+    command.add_argument(
+        "--only",
+        type=Path,
+        metavar="FILE",
+        help="train on exactly the shards that this file lists, in the order of the file: output of `catalogue "
+        f"freeze`, or the {DATASET_FILE} of a training [all shards of the stores]",
+    )
     command.add_argument("--size", type=image_size, help="reduce the images of --dataset to rows x columns")
     add_device(command)
     add_threads(command)
@@ -190,7 +198,8 @@ def run_train(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     device = processes.start(options.device)
     stores = [Store(folder) for folder in options.store]
-    dataset = open_dataset(stores, options.dataset, options.size, options.every)
+    only = read_version(options.only) if options.only is not None else None
+    dataset = open_dataset(stores, options.dataset, options.size, options.every, only=only)
     frames = dataset.frames
     if options.lidar_weight > 0 and not dataset.has_lidar:
         raise TrainerError(
@@ -205,11 +214,13 @@ def run_train(options: argparse.Namespace) -> None:
     )
     if options.buffer is not None:
         pairs = select(frames, pairs, options.buffer, options.keep, options.seed)
-    trainer = Trainer(frames, pairs, settings_of(options, past_of(stores)), device, options.readers)
+    settings = settings_of(options, past_of(stores))
+    trainer = Trainer(frames, pairs, settings, device, options.readers, dataset.summary)
     first = processes.rank() == 0
     if first:
         recorded = {name: value for name, value in vars(options).items() if name not in NOT_RECORDED}
         write_atomically(experiment.to_toml(recorded).encode(), options.out / EXPERIMENT_FILE)
+        record_version(dataset, options.out)
     board = Board(options.out / "tensorboard", trainer) if options.tensorboard and first else None
     start = time.perf_counter()
     with Progress(trainer, validation, options.steps, options.out, options.validate_every, board) as progress:

@@ -25,7 +25,7 @@ from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.export.depth import export_checkpoint
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.processes import pick_device
-from embodied_depth_trainer.store.dataset import open_dataset
+from embodied_depth_trainer.store.dataset import open_dataset, record_version
 from embodied_depth_trainer.store.pair_index import find_pairs
 from embodied_depth_trainer.store.prepare import Tools, prepare
 from embodied_depth_trainer.store.recipe import Recipe, engine_of
@@ -124,7 +124,8 @@ def _round(watched: Watch, number: int) -> Path:
     dataset = open_dataset([watched.store], every=settings.every, checked=watched.checked)
     pairs, validation = find_pairs(dataset, None, PairRule())
     training = settings.work / "training"
-    trainer = Trainer(dataset.frames, pairs, _training(settings), settings.device)
+    trainer = Trainer(dataset.frames, pairs, _training(settings), settings.device, dataset=dataset.summary)
+    record_version(dataset, training)
     steps = (number + 1) * settings.steps
     with Progress(trainer, validation, steps, training, settings.steps // VALIDATIONS) as progress:
         checkpoint = train(trainer, steps, training, on_step=progress)

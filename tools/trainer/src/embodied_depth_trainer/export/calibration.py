@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -101,8 +103,11 @@ def fit(counts: Counts) -> Calibration:
     return Calibration(slope, max(offset, (1 - slope) * math.log(UNCONFIRMED_SCALE)))
 
 
-def apply(model: Path, calibration: Calibration, frames: int, out: Path) -> None:
-    """Writes `model` with the calibration as part of its graph. Depth, and so the golden pair, stays bit-identical."""
+def apply(
+    model: Path, calibration: Calibration, frames: int, out: Path, dataset: Mapping[str, Any] | None = None
+) -> None:
+    """Writes `model` with the calibration as part of its graph, and with the summary of the dataset that it is from.
+    Depth, and so the golden pair, stays bit-identical."""
     graph_of = onnx.load(str(model))
     graph = graph_of.graph
     last = graph.node[-1]
@@ -118,17 +123,19 @@ def apply(model: Path, calibration: Calibration, frames: int, out: Path) -> None
     last.input[1] = "calibrated"
     graph.node.append(last)
     metadata["version"] += "-calibrated"
-    metadata["calibration"] = json.dumps({**vars(calibration), "frames": frames})
+    metadata["calibration"] = json.dumps({**vars(calibration), "frames": frames, "dataset": dataset})
     helper.set_model_props(graph_of, metadata)
     onnx.checker.check_model(graph_of)
     write_atomically(graph_of.SerializeToString(), out)
 
 
-def calibrate(model: Path, frames: FrameSet, out: Path) -> tuple[Calibration, Counts]:
+def calibrate(
+    model: Path, frames: FrameSet, out: Path, dataset: Mapping[str, Any] | None = None
+) -> tuple[Calibration, Counts]:
     """Fits the calibration on `frames` of homes that the weights were not trained on; writes the calibrated model."""
     counts = observe(model, frames)
     calibration = fit(counts)
-    apply(model, calibration, len(frames), out)
+    apply(model, calibration, len(frames), out, dataset)
     return calibration, counts
 
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from embodied_depth_trainer.export.onnx_writer import ExportError, random_image, write_onnx
+from embodied_depth_trainer.export.provenance import origin
 from embodied_depth_trainer.networks.cost_volume import REDUCTION
 from embodied_depth_trainer.networks.golden import golden_pair
 from embodied_depth_trainer.networks.inputs import given_depth_of
@@ -81,6 +82,7 @@ def export_checkpoint(file: Path, size: tuple[int, int] | None, out: Path) -> fl
         "weights": file.name,
         "training": json.dumps({"steps": saved.step, **saved.settings}, sort_keys=True),
         "version": f"{saved.network}-{saved.step}",
+        **origin(saved),
     }
     if saved.past_frames is not None:
         # Marks the model: the robot computes coarse depth differently.

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -18,8 +19,17 @@ from embodied_depth_trainer.data.frame_set import FrameSet, LazyFrames, joined
 from embodied_depth_trainer.data.frames import Intrinsics
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
-from embodied_depth_trainer.store.manifest import Entry
+from embodied_depth_trainer.store.listing import StoredSegment, refuse, segments_in, segments_of
 from embodied_depth_trainer.store.store import Store
+from embodied_depth_trainer.store.version import (
+    DATASET_FILE,
+    DatasetVersion,
+    ListedDump,
+    ListedShard,
+    dump_digest,
+    remember,
+    write_version,
+)
 
 
 @dataclass(frozen=True)
@@ -27,14 +37,23 @@ class Part:
     """Consecutive frames of a dataset: a shard, or a dump in memory."""
 
     frames: FrameSet
+    listed: ListedShard | ListedDump
     store: Store | None = None
-    run: str = ""
-    """Path of the list of the run's segments."""
-    name: str = ""
-    """Name of the shard."""
-    digest: str = ""
-    """SHA-256 of the digests of its arrays."""
     has_lidar: bool = False
+
+    @property
+    def run(self) -> str:
+        """The run in its store. Runs of two stores are not related."""
+        return f"{self.store.folder if self.store else ''}:{self.listed.folder}"
+
+    @property
+    def name(self) -> str:
+        """Name of the shard."""
+        return self.listed.shard if isinstance(self.listed, ListedShard) else ""
+
+    @property
+    def digest(self) -> str:
+        return self.listed.digest
 
 
 @dataclass(frozen=True)
@@ -51,9 +70,24 @@ class Dataset:
         return any(part.has_lidar for part in self.parts)
 
     @property
-    def digests(self) -> list[str]:
-        """The digests of all shards."""
-        return [part.digest for part in self.parts if part.store is not None]
+    def stores(self) -> list[Store]:
+        """The stores of its shards."""
+        return list({part.store.folder: part.store for part in self.parts if part.store is not None}.values())
+
+    @property
+    def version(self) -> DatasetVersion:
+        """The list of what is read."""
+        listed = [part.listed for part in self.parts]
+        return DatasetVersion(
+            tuple(sorted({store.recipe_digest for store in self.stores})),
+            tuple(item for item in listed if isinstance(item, ListedShard)),
+            tuple(item for item in listed if isinstance(item, ListedDump)),
+        )
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What checkpoints and exported models say about it."""
+        return {**self.version.summary, "every": self.every}
 
 
 def open_dataset(
@@ -62,16 +96,36 @@ def open_dataset(
     size: tuple[int, int] | None = None,
     every: int = 1,
     checked: set[str] | None = None,
+    only: DatasetVersion | None = None,
 ) -> Dataset:
     """All shards of the stores, and dumps of datasets, whose images are reduced to `size`. A shard whose digests are
-    not those that were written is named and left out; those in `checked` are not read again."""
-    parts = [part for store in stores for part in _shards(store, every, checked if checked is not None else set())]
-    for folder in dumps:
-        frames = read_dataset_dump(folder)
-        parts.append(Part(frames.reduced_to(size) if size else frames))
+    not those that were written is named and left out; those in `checked` are not read again. With `only`, the dataset
+    is this version, and what is missing or damaged is refused."""
+    checked = set() if checked is None else checked
+    parts = _all_shards(stores, every, checked) if only is None else _only_shards(only, stores, every, checked)
+    read = [_dump(folder, size) for folder in dumps]
+    if only is not None and {part.listed.digest for part in read} != {dump.digest for dump in only.dumps}:
+        named = ", ".join(dump.folder for dump in only.dumps) or "no dump"
+        raise TrainerError(
+            f"dataset {only.name} has {named} of --dataset, with the same bytes; give these and no other"
+        )
+    parts += read
     if not parts:
         raise TrainerError("there is no shard to train on; prepare recordings with `embodied-depth prepare`")
     return Dataset(joined([part.frames for part in parts], _first_runs(parts)), parts, every)
+
+
+def record_version(dataset: Dataset, out: Path) -> None:
+    """Writes the list of what a training reads beside its checkpoint and into the stores."""
+    version = dataset.version
+    write_version(version, out / DATASET_FILE)
+    remember(version, dataset.stores)
+
+
+def _dump(folder: Path, size: tuple[int, int] | None) -> Part:
+    frames = read_dataset_dump(folder)
+    listed = ListedDump(str(folder.resolve()), len(frames), dump_digest(folder))
+    return Part(frames.reduced_to(size) if size else frames, listed)
 
 
 def _first_runs(parts: Sequence[Part]) -> list[int]:
@@ -104,35 +158,39 @@ def open_shard(folder: ArrayFolder, labels: ArrayFolder | None = None, every: in
     )
 
 
-def _shards(store: Store, every: int, checked: set[str]) -> list[Part]:
-    """The shards of a store that are what was written. A segment in two runs is used once."""
-    wanted: dict[str, tuple[str, Entry]] = {}
-    for name, run in store.runs.items():
-        for entry in run.shards:
-            wanted.setdefault(entry.shard or "", (name, entry))
-    parts = []
+def _all_shards(stores: Sequence[Store], every: int, checked: set[str]) -> list[Part]:
+    """The shards of the stores that are what was written."""
+    opened = _opened([segment for store in stores for segment in segments_of(store)], every, checked)
+    for problem in opened:
+        if isinstance(problem, DamagedError):
+            print(f"left out: {problem}; `embodied-depth prepare --check` makes it again", file=sys.stderr)
+    return [part for part in opened if isinstance(part, Part)]
+
+
+def _only_shards(version: DatasetVersion, stores: Sequence[Store], every: int, checked: set[str]) -> list[Part]:
+    """The shards of a version, all of them."""
+    opened = _opened(segments_in(version, stores), every, checked)
+    refuse(version, [str(problem) for problem in opened if isinstance(problem, DamagedError)])
+    return [part for part in opened if isinstance(part, Part)]
+
+
+def _opened(segments: Sequence[StoredSegment], every: int, checked: set[str]) -> list[Part | DamagedError]:
+    """The shards, in their order, or what is wrong with them."""
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        opened = threads.map(partial(_part, store, every, checked), wanted.values())
-        for part in tqdm(opened, total=len(wanted), unit="shard", desc="checking", disable=None):
-            if isinstance(part, Part):
-                parts.append(part)
-            else:
-                print(f"left out: {part}; `embodied-depth prepare --check` makes it again", file=sys.stderr)
-    return parts
+        opened = threads.map(partial(_part, every, checked), segments)
+        return list(tqdm(opened, total=len(segments), unit="shard", desc="checking", disable=None))
 
 
-def _part(store: Store, every: int, checked: set[str], listed: tuple[str, Entry]) -> Part | DamagedError:
-    """A shard that is listed in a run, with its labels, or what is wrong with it."""
-    run, entry = listed
-    name = entry.shard or ""
+def _part(every: int, checked: set[str], segment: StoredSegment) -> Part | DamagedError:
+    """A shard with its labels, or what is wrong with it."""
     try:
-        folder = ArrayFolder(store.shard(name))
-        labels = ArrayFolder(store.labels(entry.labels or f"{name}-none")) if store.recipe["labels"] else None
-        for part in (folder, labels):
-            if part is not None and str(part.folder) not in checked:
-                part.check()
-                checked.add(str(part.folder))
-        frames = open_shard(folder, labels, every)
+        shard, labels = segment.open()
+        for folder in (shard, labels):
+            if folder is not None and str(folder.folder) not in checked:
+                folder.check()
+                checked.add(str(folder.folder))
+        frames = open_shard(shard, labels, every)
+        listed = segment.listed()
     except DamagedError as problem:
         return problem
-    return Part(frames, store, str(store.folder / run), name, folder.digest, folder.meta["has_lidar"])
+    return Part(frames, listed, segment.store, shard.meta["has_lidar"])

@@ -20,6 +20,7 @@ from embodied_depth_trainer.store.pool import Pool
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.shards import ShardJob, make_shard
 from embodied_depth_trainer.store.store import Store
+from embodied_depth_trainer.store.version import read_version
 
 
 @dataclass(frozen=True)
@@ -143,10 +144,11 @@ def _label_job(shards: Sequence[Entry], place: int, store: Store, tools: Tools) 
 
 
 def prune(store: Store) -> int:
-    """Removes shards, labels and pairs that no list of segments names; returns their number."""
+    """Removes shards, labels and pairs that no list of segments and no frozen list names; returns their number."""
+    frozen = [kept for file in (store.folder / "frozen").glob("*.json") for kept in read_version(file).shards]
     entries = [entry for run in store.runs.values() for entry in run.shards]
-    shards = {entry.shard for entry in entries}
-    labels = {entry.labels for entry in entries}
+    shards = {entry.shard for entry in entries} | {kept.shard for kept in frozen}
+    labels = {entry.labels for entry in entries} | {kept.labels for kept in frozen}
     unused = [folder for folder in (store.folder / "shards").glob("*") if folder.name not in shards]
     unused += [folder for folder in (store.folder / "labels").glob("*") if folder.name not in labels]
     # A pair index is named by its shard and a key.

@@ -40,7 +40,12 @@ class Recipe:
 
     @property
     def digest(self) -> str:
-        return hashlib.sha256(json.dumps(self.plain(), sort_keys=True).encode()).hexdigest()
+        return digest_of(self.plain())
+
+
+def digest_of(plain: dict[str, Any]) -> str:
+    """The digest of a recipe in the types of JSON, as in `recipe.json`."""
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 
 def engine_of(robot: Path) -> str:

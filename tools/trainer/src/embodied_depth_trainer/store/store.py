@@ -5,6 +5,8 @@
     shards/NAME/         frames, coarse depth, poses, LiDAR lines, held-out marks of one segment
     labels/NAME/         labels of its frames
     pairs/NAME/          pairs of frames to train on
+    datasets/NAME.json   lists of the shards that trainings have read
+    frozen/NAME.json     lists whose shards and labels are kept
 
 Shards are named by the digests of their segment and of the recipe.
 """
@@ -19,7 +21,7 @@ from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.store.manifest import Run, read_run, write_run
-from embodied_depth_trainer.store.recipe import FORMAT_VERSION, Recipe
+from embodied_depth_trainer.store.recipe import FORMAT_VERSION, Recipe, digest_of
 
 RECIPE_FILE = "recipe.json"
 # Hexadecimal digits of digests in names: 64 bits of a segment's, 32 of the few recipes'.
@@ -62,6 +64,10 @@ class Store:
         return store
 
     @property
+    def recipe_digest(self) -> str:
+        return digest_of(self.recipe)
+
+    @property
     def frames(self) -> int:
         """Number of frames in all shards."""
         return sum(entry.frames for run in self.runs.values() for entry in run.shards)
@@ -74,6 +80,12 @@ class Store:
 
     def pairs(self, name: str) -> Path:
         return self.folder / "pairs" / name
+
+    def dataset(self, name: str) -> Path:
+        return self.folder / "datasets" / f"{name}.json"
+
+    def frozen(self, name: str) -> Path:
+        return self.folder / "frozen" / f"{name}.json"
 
     def run_of(self, source: Path) -> Run:
         """The run of this directory; an empty one if it is new."""

@@ -7,7 +7,7 @@ package's layout.
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,8 @@ class Checkpoint:
     """The settings of the training; resuming with others is refused."""
     weights: dict[str, Tensor]
     optimizer: dict[str, Any]
+    history: list[dict[str, Any]] = field(default_factory=list)
+    """What the steps have read; see `history.py`. Empty in files of earlier versions."""
 
     @property
     def depth_range_m(self) -> tuple[float, float]:

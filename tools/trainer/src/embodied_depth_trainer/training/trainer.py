@@ -7,9 +7,11 @@ stopped, bit by bit on the CPU with the same number of threads.
 from __future__ import annotations
 
 import io
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,6 +36,7 @@ from embodied_depth_trainer.networks.inputs import give, second_input
 from embodied_depth_trainer.networks.manydepth import ManyDepth, VolumeAugmentation
 from embodied_depth_trainer.networks.registry import SIZE_STEP, build_network, output_of, takes_coarse
 from embodied_depth_trainer.training import checkpoint as checkpoints
+from embodied_depth_trainer.training import history
 from embodied_depth_trainer.training.checkpoint import Checkpoint
 from embodied_depth_trainer.training.heap import keep_freed_memory
 from embodied_depth_trainer.training.initial import STATISTICS_BATCHES, is_exported, load_initial
@@ -71,7 +74,9 @@ class Trainer:
         settings: Settings,
         device: torch.device | str = "cpu",
         readers: int = 1,
+        dataset: Mapping[str, Any] | None = None,
     ) -> None:
+        """`dataset` is the summary of the shards that the frames come from, which checkpoints keep."""
         height = frames.camera.height
         width = frames.camera.width
         if height % SIZE_STEP or width % SIZE_STEP:
@@ -125,6 +130,8 @@ class Trainer:
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate, fused=True)
         self.projector = Projector(frames.camera, device)
         self.step = 0
+        self.dataset = dataset
+        self.history = [history.begun(0, dataset)]
         self.parts: dict[str, Tensor] = {}
         if settings.init is not None and is_exported(settings.init):
             self._restore_statistics()
@@ -144,11 +151,15 @@ class Trainer:
         self.network.load_state_dict(saved.weights)
         self.optimizer.load_state_dict(saved.optimizer)
         self.step = saved.step
+        self.history = history.continued(saved.history, saved.step, self.dataset)
+        if len(self.history) > 1 and processes.rank() == 0:
+            print("\n".join(history.described(self.history)), file=sys.stderr)
 
     def checkpoint(self) -> Checkpoint:
         weights = {name: value.cpu() for name, value in self.network.state_dict().items()}
         settings = self.settings.as_dict(self.frames)
-        return Checkpoint(self.step, self.settings.network, settings, weights, self.optimizer.state_dict())
+        optimizer = self.optimizer.state_dict()
+        return Checkpoint(self.step, self.settings.network, settings, weights, optimizer, self.history)
 
     def batch(self, step: int) -> Batch:
         """This process's share of the batch of a step."""

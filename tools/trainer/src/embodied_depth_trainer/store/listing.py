@@ -1,0 +1,101 @@
+"""The segments whose shards are to be read: all of a store, or those of a frozen list."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
+from embodied_depth_trainer.store.store import Store
+from embodied_depth_trainer.store.version import DatasetVersion, ListedShard
+
+# Problems that an error text names; more of them are counted.
+NAMED = 20
+
+
+@dataclass(frozen=True)
+class StoredSegment:
+    """A segment and where its shard is."""
+
+    store: Store
+    folder: str
+    """Path of its run."""
+    file: str
+    shard: str
+    labels: str | None
+
+    def open(self) -> tuple[ArrayFolder, ArrayFolder | None]:
+        """Its shard and its labels."""
+        shard = ArrayFolder(self.store.shard(self.shard))
+        if not self.store.recipe["labels"]:
+            return shard, None
+        # A preparation that was interrupted leaves shards without labels.
+        return shard, ArrayFolder(self.store.labels(self.labels or f"{self.shard}-none"))
+
+    def listed(self) -> ListedShard:
+        """Its line in a list of shards, with the digests that were written."""
+        shard, labels = self.open()
+        return ListedShard(
+            self.folder,
+            self.file,
+            int(shard.meta["frames"]),
+            self.shard,
+            shard.digest,
+            self.labels if labels is not None else None,
+            labels.digest if labels is not None else None,
+        )
+
+
+def segments_of(store: Store) -> list[StoredSegment]:
+    """All segments of a store that have a shard; a segment in two runs once."""
+    found: dict[str, StoredSegment] = {}
+    for run in store.runs.values():
+        for entry in run.shards:
+            assert entry.shard is not None
+            found.setdefault(entry.shard, StoredSegment(store, run.source, entry.file, entry.shard, entry.labels))
+    return list(found.values())
+
+
+def segments_in(version: DatasetVersion, stores: Sequence[Store]) -> list[StoredSegment]:
+    """The segments of a list, in its order; refuses a list of which something is missing or different."""
+    found, problems = [], []
+    for wanted in version.shards:
+        store = next((store for store in stores if store.shard(wanted.shard).is_dir()), None)
+        if store is None:
+            problems.append(f"{wanted} is missing")
+            continue
+        segment = StoredSegment(store, wanted.folder, wanted.segment, wanted.shard, wanted.labels)
+        try:
+            if segment.listed() == wanted:
+                found.append(segment)
+            else:
+                problems.append(f"{wanted} or its labels have other digests")
+        except DamagedError as problem:
+            problems.append(f"{wanted}: {problem}")
+    refuse(version, problems)
+    return found
+
+
+def refuse(version: DatasetVersion, problems: Sequence[str]) -> None:
+    """Raises an error that names the problems, if there are any."""
+    if problems:
+        more = f"\nand {len(problems) - NAMED} more" if len(problems) > NAMED else ""
+        raise TrainerError(
+            f"{len(problems)} of the {len(version.shards)} shards of dataset {version.name} cannot be used; prepare "
+            "their recordings again with the same recipe, repair the store with `embodied-depth prepare --check`, or "
+            "freeze another list:\n" + "\n".join(problems[:NAMED]) + more
+        )
+
+
+def freeze(store: Store, shards: Iterable[str]) -> DatasetVersion:
+    """The list of these shards of a store, in the order of runs and segments."""
+    names = set(shards)
+    try:
+        chosen = tuple(segment.listed() for segment in segments_of(store) if segment.shard in names)
+    except DamagedError as problem:
+        raise TrainerError(f"{problem}; make it with `embodied-depth prepare --check` before it is frozen") from None
+    missing = sorted(names - {shard.shard for shard in chosen})
+    if missing or not chosen:
+        raise TrainerError(f"{store.folder} has no shard {', '.join(missing)}; freeze shards of its table `segments`")
+    return DatasetVersion((store.recipe_digest,), chosen)
