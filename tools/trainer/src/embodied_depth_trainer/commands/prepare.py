@@ -13,13 +13,23 @@ from embodied_depth_trainer.data.teacher import MEAN, MULTIPLE, STD, Teacher, Te
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.prepare import Tools, prepare, prune, remove_damaged
 from embodied_depth_trainer.store.recipe import Coarse, Recipe, engine_of
+from embodied_depth_trainer.store.sources import is_url
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.studies.robot import find_firmware_host
 
 
+def source(text: str) -> Path | str:
+    """A directory or a URL."""
+    return text if is_url(text) else Path(text)
+
+
 def add_prepare(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "source", type=Path, nargs="+", help="--out directory of a run, or a directory that holds runs at any depth"
+        "source",
+        type=source,
+        nargs="+",
+        help="--out directory of a run, a directory that holds runs at any depth, or the URL of either in an object "
+        "store (s3://BUCKET/PREFIX, gs://BUCKET/PREFIX)",
     )
     command.add_argument("--out", type=Path, required=True, help="the store: a directory to make or to complete")
     command.add_argument("--workers", type=int, default=1, help="number of processes [1]")
@@ -114,6 +124,8 @@ def run_prepare(options: argparse.Namespace) -> None:
     report = prepare(options.source, store, tools)
     for file, why in report.damaged.items():
         print(f"{file}: {why}", file=sys.stderr)
+    for name in report.replaced:
+        print(f"{name} was replaced while it was read; prepare it again", file=sys.stderr)
     print(
         f"{options.out}: {store.frames} frames; {report.segments} segments were new, "
         f"{report.labelled} have new labels, {len(report.damaged)} of the new ones are damaged"

@@ -56,6 +56,10 @@ class RawImage(Protocol):
     data: bytes
 
 
+# The names of segments, as a regular expression.
+SEGMENT_NAME = r"recording_\d{4,}\.mcap"
+
+
 @dataclass
 class Damage:
     """Segments that end in damage, and why. Everything before the damage is kept: a power cut costs the last chunk
@@ -78,7 +82,7 @@ def segments(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise TrainerError(f"{path} does not exist; give the --out directory of a run or one .mcap file")
-    found = [file for file in path.iterdir() if re.fullmatch(r"recording_\d{4,}\.mcap", file.name)]
+    found = [file for file in path.iterdir() if re.fullmatch(SEGMENT_NAME, file.name)]
     if not found:
         raise TrainerError(f"{path} holds no recording_NNNN.mcap; give the --out directory of a run or one .mcap file")
     # By length first: segment 10000 comes after segment 9999.

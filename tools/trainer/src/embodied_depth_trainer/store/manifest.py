@@ -1,7 +1,7 @@
 """The list of a run's segments and of the shards that were made of them.
 
 It is written again whenever a shard is added. Size and time of modification of a segment's file tell whether it has to
-be read again, as in the index of Git.
+be read again, as in the index of Git; in an object store, size and tag.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Entry:
     """One segment."""
 
     file: str
-    """Name of its file in the run's directory."""
+    """Name of its file in the run."""
     bytes: int
     modified_ns: int
     digest: str
@@ -33,27 +33,23 @@ class Entry:
     """What ends the segment before its end, or why there is no shard."""
     labels: str | None = None
     """Name of its labels."""
-
-    def is_of(self, file: Path) -> bool:
-        """Whether the file has not changed since."""
-        state = file.stat()
-        return (self.file, self.bytes, self.modified_ns) == (file.name, state.st_size, state.st_mtime_ns)
+    etag: str | None = None
+    """Tag of its object, if it is in an object store."""
 
 
 @dataclass
 class Run:
-    """A run's directory and what has been made of it."""
+    """A run and what has been made of it."""
 
     source: str
-    """Its absolute path."""
+    """The absolute path of its directory, or its URL."""
     entries: dict[str, Entry] = field(default_factory=dict)
     """By the segments' file names."""
 
     @staticmethod
-    def name_of(source: Path) -> str:
+    def name_of(source: str) -> str:
         """The name of the run in the store: runs of several robots can have equal names."""
-        path = source.resolve()
-        return f"{path.name}-{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
+        return f"{source.rpartition('/')[2]}-{hashlib.sha256(source.encode()).hexdigest()[:12]}"
 
     @property
     def shards(self) -> list[Entry]:

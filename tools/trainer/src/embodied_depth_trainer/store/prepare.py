@@ -10,15 +10,14 @@ from pathlib import Path
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from embodied_depth_trainer.data.recording import segments
 from embodied_depth_trainer.data.teacher import TeacherOptions
-from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
 from embodied_depth_trainer.store.labels import LabelJob, halo, make_labels
 from embodied_depth_trainer.store.manifest import Entry, Run
 from embodied_depth_trainer.store.pool import Pool
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.shards import ShardJob, make_shard
+from embodied_depth_trainer.store.sources import RecordedRun, RecordedSegment, RemoteSegment, find_runs
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.store.version import read_version
 
@@ -46,11 +45,13 @@ class Report:
     """Number of shards whose labels were computed."""
     damaged: dict[str, str] = field(default_factory=dict)
     """Segments that end early or cannot be read, and why."""
+    replaced: list[str] = field(default_factory=list)
+    """Objects that were replaced after they had been listed, and are left for the next call."""
 
 
-def prepare(sources: Sequence[Path], store: Store, tools: Tools, growing: bool = False) -> Report:
-    """Makes what is missing of all runs below the sources. While runs are `growing`, the last segment of each is left
-    for later until it is complete."""
+def prepare(sources: Sequence[Path | str], store: Store, tools: Tools, growing: bool = False) -> Report:
+    """Makes what is missing of all runs below the sources, which are directories or URLs. While runs are `growing`, the
+    last segment of each is left for later until it is complete."""
     report = Report()
     runs = [run for source in sources for run in find_runs(source)]
     with Pool(tools.workers) as pool:
@@ -79,50 +80,48 @@ def remove_damaged(store: Store) -> list[str]:
     return found
 
 
-def find_runs(source: Path) -> list[Path]:
-    """Directories that hold segments, in the order of their names."""
-    if not source.is_dir():
-        raise TrainerError(f"{source} is no directory; give the --out directory of a run, or one that holds runs")
-    return sorted({file.parent for file in source.rglob("recording_*.mcap")})
-
-
-def _shards(runs: Sequence[Path], store: Store, tools: Tools, growing: bool, pool: Pool, report: Report) -> None:
+def _shards(runs: Sequence[RecordedRun], store: Store, tools: Tools, growing: bool, pool: Pool, report: Report) -> None:
     jobs = {}
-    for source in runs:
-        run = store.run_of(source)
-        for file in segments(source):
-            if not _is_prepared(file, run, store) and not (growing and _is_open(file, source)):
-                jobs[file] = ShardJob(file, store.folder / "shards", tools.recipe, tools.robot)
-    for file, entry in pool.each(make_shard, jobs, "segment"):
-        run = store.run_of(file.parent)
-        run.entries[entry.file] = entry
-        store.keep(file.parent)
+    for recorded in runs:
+        run = store.run_of(recorded.source)
+        for segment in recorded.segments:
+            if not _is_prepared(segment, run, store) and not (growing and _is_open(segment, recorded)):
+                jobs[recorded.source, segment] = ShardJob(
+                    segment, store.folder / "shards", store.downloads, tools.recipe, tools.robot
+                )
+    for (source, segment), entry in pool.each(make_shard, jobs, "segment"):
+        if entry is None:
+            report.replaced.append(str(segment))
+            continue
+        store.run_of(source).entries[entry.file] = entry
+        store.keep(source)
         report.segments += 1
         if entry.damage is not None:
-            report.damaged[str(file)] = entry.damage
+            report.damaged[str(segment)] = entry.damage
 
 
-def _is_prepared(file: Path, run: Run, store: Store) -> bool:
-    known = run.entries.get(file.name)
-    if known is None or not known.is_of(file):
+def _is_prepared(segment: RecordedSegment, run: Run, store: Store) -> bool:
+    known = run.entries.get(segment.name)
+    if known is None or not segment.is_known(known):
         return False
     return known.shard is None or store.shard(known.shard).is_dir()
 
 
-def _is_open(file: Path, source: Path) -> bool:
-    """Whether the robot may still write this segment: it is the last of its run and has no index yet."""
-    if file != segments(source)[-1]:
+def _is_open(segment: RecordedSegment, run: RecordedRun) -> bool:
+    """Whether the robot may still write this segment: it is the last of its run and has no index yet. An object is
+    complete."""
+    if isinstance(segment, RemoteSegment) or segment != run.segments[-1]:
         return False
-    with file.open("rb") as stream:
+    with segment.file.open("rb") as stream:
         try:
             return make_reader(stream).get_summary() is None
         except McapError:
             return True
 
 
-def _labels(runs: Sequence[Path], store: Store, tools: Tools, pool: Pool, report: Report) -> None:
+def _labels(runs: Sequence[RecordedRun], store: Store, tools: Tools, pool: Pool, report: Report) -> None:
     jobs = {}
-    for source in runs:
+    for source in (run.source for run in runs):
         shards = store.run_of(source).shards
         for place, entry in enumerate(shards):
             job = _label_job(shards, place, store, tools)
@@ -153,6 +152,8 @@ def prune(store: Store) -> int:
     unused += [folder for folder in (store.folder / "labels").glob("*") if folder.name not in labels]
     # A pair index is named by its shard and a key.
     unused += [folder for folder in (store.folder / "pairs").glob("*") if folder.name.rpartition("-")[0] not in shards]
+    # Of a preparation that was killed.
+    unused += store.downloads.glob("*")
     for folder in unused:
         shutil.rmtree(folder, ignore_errors=True)
     return len(unused)

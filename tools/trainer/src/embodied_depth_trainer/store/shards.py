@@ -24,8 +24,10 @@ from embodied_depth_trainer.data.past_frames import with_past_coarse
 from embodied_depth_trainer.data.recording import Segment, read_segment
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError, FolderWriter
+from embodied_depth_trainer.store.bucket import ReplacedError
 from embodied_depth_trainer.store.manifest import Entry
 from embodied_depth_trainer.store.recipe import Recipe
+from embodied_depth_trainer.store.sources import RecordedSegment
 from embodied_depth_trainer.store.store import shard_name
 
 # Frames that are reduced and written at once.
@@ -40,32 +42,41 @@ LOG_LINES = 8
 class ShardJob:
     """The shard of one segment."""
 
-    file: Path
+    segment: RecordedSegment
     shards: Path
     """Folder of all shards."""
+    downloads: Path
+    """Folder for a segment that is not on the disk."""
     recipe: Recipe
     robot: Path | None
     """Path of firmware-host."""
 
 
-def make_shard(job: ShardJob) -> Entry:
-    """Makes the shard unless it exists. A segment that cannot be read gives an entry without a shard."""
-    file = job.file
+def make_shard(job: ShardJob) -> Entry | None:
+    """Makes the shard unless it exists. A segment that cannot be read gives an entry without a shard; an object that
+    was replaced after it was listed gives none."""
     try:
-        state = file.stat()
+        with job.segment.on_disk(job.downloads) as file:
+            return _shard_of(job, file)
+    except ReplacedError:
+        return None
+
+
+def _shard_of(job: ShardJob, file: Path) -> Entry:
+    try:
+        entry = job.segment.entry()
         with file.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            entry = replace(entry, digest=hashlib.file_digest(stream, "sha256").hexdigest())
     except OSError as problem:
         raise TrainerError(f"cannot read {file}: {problem}; check the file and its permissions") from problem
-    entry = Entry(file.name, state.st_size, state.st_mtime_ns, digest)
-    name = shard_name(digest, job.recipe.digest)
+    name = shard_name(entry.digest, job.recipe.digest)
     meta = _existing(job.shards / name)
     if meta is None:
         try:
             segment = read_segment(file)
         except TrainerError as problem:
-            return replace(entry, damage=str(problem))
-        meta = _made(job, segment, job.shards / name, entry)
+            return replace(entry, damage=str(problem).replace(str(file), str(job.segment)))
+        meta = _made(job, file, segment, entry)
     return replace(entry, shard=name, frames=meta["frames"], damage=meta["damage"])
 
 
@@ -78,15 +89,15 @@ def _existing(folder: Path) -> dict[str, Any] | None:
         return None
 
 
-def _made(job: ShardJob, segment: Segment, folder: Path, entry: Entry) -> dict[str, Any]:
+def _made(job: ShardJob, file: Path, segment: Segment, entry: Entry) -> dict[str, Any]:
     """Writes the shard and returns what describes it."""
-    writer = FolderWriter(folder, len(segment.frames))
+    writer = FolderWriter(job.shards / shard_name(entry.digest, job.recipe.digest), len(segment.frames))
     try:
-        for part in _parts(job, segment.frames, writer.partial):
+        for part in _parts(job, file, segment.frames, writer.partial):
             _append(writer, part)
         meta = _described(segment, part, job.recipe)
-        if not entry.is_of(job.file):
-            raise TrainerError(f"{job.file} was changed while it was read; prepare it again")
+        if not job.segment.is_known(entry):
+            raise TrainerError(f"{job.segment} was changed while it was read; prepare it again")
         writer.finish(meta)
     except BaseException:
         writer.abandon()
@@ -94,14 +105,14 @@ def _made(job: ShardJob, segment: Segment, folder: Path, entry: Entry) -> dict[s
     return meta
 
 
-def _parts(job: ShardJob, frames: Frames, scratch: Path) -> Iterator[Frames]:
+def _parts(job: ShardJob, file: Path, frames: Frames, scratch: Path) -> Iterator[Frames]:
     """The frames as the shard holds them, some at a time."""
     recipe = job.recipe
     if recipe.past is not None:
         yield with_past_coarse(frames.reduced_to(recipe.size) if recipe.size else frames, recipe.past)
         return
     chunks = [slice(first, first + CHUNK) for first in range(0, len(frames), CHUNK)]
-    with _dump(job, frames, scratch) as dump:
+    with _dump(job, file, frames, scratch) as dump:
         for chunk in chunks:
             part = frames.at(chunk)
             part = part if dump is None else dump.added_to(part)
@@ -109,7 +120,7 @@ def _parts(job: ShardJob, frames: Frames, scratch: Path) -> Iterator[Frames]:
 
 
 @contextmanager
-def _dump(job: ShardJob, frames: Frames, scratch: Path) -> Iterator[CoarseDump | None]:
+def _dump(job: ShardJob, file: Path, frames: Frames, scratch: Path) -> Iterator[CoarseDump | None]:
     """The coarse and dense depth that the robot's own engine computes of the segment, while the context lasts."""
     if job.recipe.coarse != "robot":
         yield None
@@ -118,7 +129,7 @@ def _dump(job: ShardJob, frames: Frames, scratch: Path) -> Iterator[CoarseDump |
     folder = scratch.with_suffix(".coarse")
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
-        command = [str(job.robot), "perceive", "--recording", str(job.file)]
+        command = [str(job.robot), "perceive", "--recording", str(file)]
         call([*command, "--out", str(folder / "look"), "--dump", str(folder / "dump")], folder / "perceive.log")
         yield CoarseDump(folder / "dump", frames)
     finally:

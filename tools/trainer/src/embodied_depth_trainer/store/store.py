@@ -7,6 +7,7 @@
     pairs/NAME/          pairs of frames to train on
     datasets/NAME.json   lists of the shards that trainings have read
     frozen/NAME.json     lists whose shards and labels are kept
+    downloads/           segments of an object store while they are read
 
 Shards are named by the digests of their segment and of the recipe.
 """
@@ -81,17 +82,21 @@ class Store:
     def pairs(self, name: str) -> Path:
         return self.folder / "pairs" / name
 
+    @property
+    def downloads(self) -> Path:
+        return self.folder / "downloads"
+
     def dataset(self, name: str) -> Path:
         return self.folder / "datasets" / f"{name}.json"
 
     def frozen(self, name: str) -> Path:
         return self.folder / "frozen" / f"{name}.json"
 
-    def run_of(self, source: Path) -> Run:
-        """The run of this directory; an empty one if it is new."""
-        return self.runs.setdefault(Run.name_of(source), Run(str(source.resolve())))
+    def run_of(self, source: str) -> Run:
+        """The run at this absolute path or URL; an empty one if it is new."""
+        return self.runs.setdefault(Run.name_of(source), Run(source))
 
-    def keep(self, source: Path) -> None:
+    def keep(self, source: str) -> None:
         """Writes the list of a run's segments."""
         name = Run.name_of(source)
         write_run(self.runs[name], self.folder / "runs" / f"{name}.json")

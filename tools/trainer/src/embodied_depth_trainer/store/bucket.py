@@ -1,0 +1,101 @@
+"""Recorded segments in an object store: `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX` or `az://CONTAINER/PREFIX`.
+
+The names are those that `pull-buffer` writes: `RUN/recording_NNNN.mcap` below the prefix, at any depth. Credentials and
+addresses come from the environment, as for `pull-buffer`: both use the same library (`object_store`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from embodied_depth_trainer.errors import TrainerError
+
+if TYPE_CHECKING:
+    from obstore.store import ObjectStore
+
+# Names in one page of a listing, the most that S3 returns.
+PAGE = 1000
+# Bytes of one request. What is in memory of a segment; a broken request costs one of them again.
+PIECE = 8 << 20
+# Attempts for each piece, besides the library's own for errors of the server.
+TRIES = 3
+
+
+class ReplacedError(TrainerError):
+    """An object is not the one that was listed."""
+
+
+@dataclass(frozen=True)
+class StoredObject:
+    """One version of an object, as it was listed."""
+
+    path: str
+    """Below the URL of the listing."""
+    bytes: int
+    modified_ns: int
+    etag: str | None
+    """Identifies the version, where the store has such a thing."""
+
+
+def list_objects(url: str) -> Iterator[StoredObject]:
+    """All objects below a URL, page by page."""
+    try:
+        for page in _store(url).list(chunk_size=PAGE):
+            for found in page:
+                modified_ns = int(found["last_modified"].timestamp() * 1e9)
+                yield StoredObject(found["path"], found["size"], modified_ns, found["e_tag"])
+    except Exception as problem:
+        raise _unreadable(url, problem) from None
+
+
+def download(url: str, listed: StoredObject, file: Path) -> None:
+    """Writes the version of the object that was listed to a file."""
+    with file.open("wb") as stream:
+        for begin in range(0, listed.bytes, PIECE):
+            stream.write(_piece(url, listed, begin, min(begin + PIECE, listed.bytes)))
+
+
+def _piece(url: str, listed: StoredObject, begin: int, end: int) -> bytes:
+    from obstore.exceptions import PreconditionError
+
+    for attempt in range(1, TRIES + 1):
+        try:
+            answer = _store(url).get(listed.path, options={"range": (begin, end), "if_match": listed.etag})
+            # Not every store compares the tag.
+            if (answer.meta["size"], answer.meta["e_tag"]) != (listed.bytes, listed.etag):
+                raise ReplacedError(f"{url}/{listed.path} was replaced while it was read")
+            return bytes(answer.bytes())
+        except (PreconditionError, FileNotFoundError):
+            raise ReplacedError(f"{url}/{listed.path} was replaced or removed while it was read") from None
+        except ReplacedError:
+            raise
+        except Exception as problem:
+            if attempt == TRIES:
+                raise _unreadable(f"{url}/{listed.path}", problem) from None
+    raise AssertionError
+
+
+@lru_cache(maxsize=8)
+def _store(url: str) -> ObjectStore:
+    try:
+        from obstore.store import from_url
+    except ImportError:
+        raise TrainerError(
+            f"{url} is in an object store, which needs the package obstore; run `pip install obstore`"
+        ) from None
+    return from_url(url, retry_config={"max_retries": TRIES - 1})
+
+
+def _unreadable(what: str, problem: Exception) -> TrainerError:
+    if isinstance(problem, TrainerError):
+        return problem
+    # The library adds the fields of its errors after the first line.
+    reason = next(iter(str(problem).splitlines()), type(problem).__name__)
+    return TrainerError(
+        f"cannot read {what}: {reason}; check address and credentials (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, "
+        "GOOGLE_APPLICATION_CREDENTIALS ...), and run the same command again: what is done is kept"
+    )

@@ -1,0 +1,129 @@
+"""Recorded runs, in directories or in an object store, and how their segments come onto the disk."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+from embodied_depth_trainer.data.recording import SEGMENT_NAME, segments
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.store.bucket import StoredObject, download, list_objects
+from embodied_depth_trainer.store.manifest import Entry
+
+
+@dataclass(frozen=True)
+class LocalSegment:
+    """A segment in a directory."""
+
+    file: Path
+
+    def __str__(self) -> str:
+        return str(self.file)
+
+    @property
+    def name(self) -> str:
+        return self.file.name
+
+    def entry(self) -> Entry:
+        """What its run lists of it, without a digest."""
+        state = self.file.stat()
+        return Entry(self.name, state.st_size, state.st_mtime_ns, "")
+
+    def is_known(self, entry: Entry) -> bool:
+        """Whether the file is the one that the entry was made of."""
+        now = self.entry()
+        return (entry.bytes, entry.modified_ns) == (now.bytes, now.modified_ns)
+
+    def on_disk(self, scratch: Path) -> AbstractContextManager[Path]:
+        """Its file, while the context lasts."""
+        return nullcontext(self.file)
+
+
+@dataclass(frozen=True)
+class RemoteSegment:
+    """A segment in an object store."""
+
+    url: str
+    """The URL that was listed."""
+    listed: StoredObject
+
+    def __str__(self) -> str:
+        return f"{self.url}/{self.listed.path}"
+
+    @property
+    def name(self) -> str:
+        return self.listed.path.rpartition("/")[2]
+
+    def entry(self) -> Entry:
+        return Entry(self.name, self.listed.bytes, self.listed.modified_ns, "", etag=self.listed.etag)
+
+    def is_known(self, entry: Entry) -> bool:
+        """Whether the object is the one that the entry was made of: by its tag if there is one, else by its time."""
+        if self.listed.etag is not None and entry.etag is not None:
+            return (entry.bytes, entry.etag) == (self.listed.bytes, self.listed.etag)
+        return (entry.bytes, entry.modified_ns) == (self.listed.bytes, self.listed.modified_ns)
+
+    @contextmanager
+    def on_disk(self, scratch: Path) -> Iterator[Path]:
+        folder = scratch / str(os.getpid())
+        try:
+            self._download(folder)
+            yield folder / self.name
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _download(self, folder: Path) -> None:
+        try:
+            # Images of a home are private.
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            download(self.url, self.listed, folder / self.name)
+        except OSError as problem:
+            raise TrainerError(f"cannot write {folder}: {problem}; free some space or give another --out") from problem
+
+
+RecordedSegment = LocalSegment | RemoteSegment
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """A run and its segments, in their order."""
+
+    source: str
+    """Absolute path or URL."""
+    segments: tuple[RecordedSegment, ...]
+
+
+def is_url(source: Path | str) -> bool:
+    """Whether a source is in an object store."""
+    return isinstance(source, str) and "://" in source
+
+
+def find_runs(source: Path | str) -> list[RecordedRun]:
+    """All runs below a directory or a URL, in the order of their names."""
+    return _in_bucket(str(source)) if is_url(source) else _in_directory(Path(source))
+
+
+def _in_directory(source: Path) -> list[RecordedRun]:
+    if not source.is_dir():
+        raise TrainerError(f"{source} is no directory; give the --out directory of a run, or one that holds runs")
+    folders = sorted({file.parent for file in source.rglob("recording_*.mcap")})
+    return [RecordedRun(str(run.resolve()), tuple(map(LocalSegment, segments(run)))) for run in folders]
+
+
+def _in_bucket(url: str) -> list[RecordedRun]:
+    url = url.rstrip("/")
+    found: dict[str, list[RemoteSegment]] = defaultdict(list)
+    for listed in list_objects(url):
+        folder, _, name = listed.path.rpartition("/")
+        if re.fullmatch(SEGMENT_NAME, name):
+            found[f"{url}/{folder}".rstrip("/")].append(RemoteSegment(url, listed))
+    if not found:
+        raise TrainerError(f"{url} holds no recording_NNNN.mcap; give the URL that `pull-buffer` uploads to")
+    in_order = {run: sorted(found[run], key=lambda segment: (len(segment.name), segment.name)) for run in sorted(found)}
+    return [RecordedRun(run, tuple(parts)) for run, parts in in_order.items()]
