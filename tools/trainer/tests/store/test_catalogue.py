@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from pathlib import Path
 
 import pytest
 
 from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.errors import TrainerError
-from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, query
+from embodied_depth_trainer.store import picture
+from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, Answer, query
 from embodied_depth_trainer.store.prepare import Tools, prepare
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.store import Store
@@ -60,3 +62,34 @@ def test_the_command_prints_a_table(store: Store, capsys: pytest.CaptureFixture[
     sql = "SELECT segment, damage, frames FROM segments WHERE frames > 25"
     assert main(["catalogue", "query", "--store", str(store.folder), sql]) == 0
     assert capsys.readouterr().out == "segment\tdamage\tframes\nrecording_0000.mcap\t\t30\n"
+
+
+def test_runs_are_drawn_by_date_and_coloured_by_the_most_important_event(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [
+        ("robots/hall/b", datetime(2026, 3, 2), 600, {"goal_chosen": 3}),
+        ("robots/kitchen/a", datetime(2026, 3, 1), 500, {"goal_dropped": 2, "lost": 1}),
+        ("robots/kitchen/a", datetime(2026, 3, 1, 0, 1), 100, {"goal_dropped": 2, "lost": 0}),
+        ("robots/kitchen/old", None, 50, {}),
+    ]
+    monkeypatch.setattr(picture, "query", lambda *_: Answer(["folder", "began", "frames", "events"], rows))
+    runs = picture.runs_of(store)
+    assert list(runs) == ["robots/kitchen/old", "robots/kitchen/a", "robots/hall/b"]
+    colors = {name: color for _, name, color in picture.EVENTS}
+    assert [segment.color for segment in runs["robots/kitchen/a"]] == [colors["lost"], colors["goal dropped"]]
+    assert runs["robots/hall/b"][0].color == picture.QUIET
+
+
+def test_the_picture_is_the_same_for_the_same_store(
+    store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [tmp_path / "one.png", tmp_path / "two.png"]
+    for file in files:
+        assert main(["catalogue", "picture", "--store", str(store.folder), "--out", str(file)]) == 0
+        assert capsys.readouterr().out == f"{file}\n"
+    assert files[0].read_bytes().startswith(b"\x89PNG")
+    assert files[0].read_bytes() == files[1].read_bytes()
+    empty = Store.create(tmp_path / "empty", Recipe("none", labels=False))
+    with pytest.raises(TrainerError, match="holds no segment"):
+        picture.draw(empty, tmp_path / "empty.png")

@@ -44,7 +44,7 @@ COMMANDS = (
         "catalogue",
         catalogue.add_catalogue,
         catalogue.run_catalogue,
-        "answer questions about the segments of a store in SQL, and freeze sets of them",
+        "answer questions about the segments of a store in SQL, freeze sets of them, and draw them",
     ),
     ("train", train.add_train, train.run_train, "train a depth network on recordings, without a depth sensor"),
     (
