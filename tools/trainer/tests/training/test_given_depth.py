@@ -17,6 +17,7 @@ from embodied_depth_trainer.networks.inputs import given_depth_of, second_input
 from embodied_depth_trainer.networks.runtime import OnnxNetwork
 from embodied_depth_trainer.studies.evaluation import evaluate
 from embodied_depth_trainer.training import checkpoint as checkpoints
+from embodied_depth_trainer.training.initial import given_depth
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.trainer import Trainer
 
@@ -65,3 +66,11 @@ def test_a_network_on_coarse_depth_says_so(tmp_path: Path) -> None:
     export_checkpoint(tmp_path / "checkpoint.pt", None, tmp_path / "student.onnx")
     session = onnxruntime.InferenceSession(str(tmp_path / "student.onnx"), providers=["CPUExecutionProvider"])
     assert session.get_modelmeta().custom_metadata_map["given_depth"] == "coarse"
+
+
+def test_a_training_that_goes_on_from_a_network_is_given_what_the_network_was_given(tmp_path: Path) -> None:
+    checkpoints.save(trainer().checkpoint(), tmp_path / "checkpoint.pt")
+    export_checkpoint(tmp_path / "checkpoint.pt", None, tmp_path / "student.onnx")
+    for file in ("checkpoint.pt", "student.onnx"):
+        assert given_depth(str(tmp_path / file)) == "dense"
+    assert given_depth(None) == "coarse"

@@ -34,7 +34,7 @@ from embodied_depth_trainer.store.dataset import open_dataset, record_version
 from embodied_depth_trainer.store.pair_index import find_pairs
 from embodied_depth_trainer.store.store import Store, past_of
 from embodied_depth_trainer.store.version import DATASET_FILE, read_version
-from embodied_depth_trainer.training.initial import chosen
+from embodied_depth_trainer.training.initial import chosen, given_depth
 from embodied_depth_trainer.training.progress import Progress, draw
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.tensorboard import Board
@@ -70,8 +70,8 @@ def add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--given-depth",
         choices=("coarse", "dense"),
-        default="coarse",
-        help="what the network is given besides the image: the robot's coarse depth, or its dense depth [coarse]",
+        help="what the network is given besides the image: the robot's coarse depth, or its dense depth [what the "
+        "network of --init is given, else coarse]",
     )
     command.add_argument("--seed", type=int, default=0, help="seed of weights, sampling and augmentation [0]")
     command.add_argument("--batch", type=int, default=12, help="samples per step [12]")
@@ -186,7 +186,7 @@ def settings_of(options: argparse.Namespace, past: PastFrames | None) -> Setting
         encoder=options.encoder,
         init=chosen(options.init),
         amp=options.amp,
-        given_depth=options.given_depth,
+        given_depth=options.given_depth or given_depth(chosen(options.init)),
         teacher_steps=options.teacher_steps,
         past_frames=past.count if past is not None else 0,
         past_gap=past.gap if past is not None else GAP,

@@ -31,7 +31,7 @@ from embodied_depth_trainer.store.prepare import Tools, prepare
 from embodied_depth_trainer.store.recipe import Recipe, engine_of
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.studies.robot import find_firmware_host
-from embodied_depth_trainer.training.initial import SHIPPED, SHIPPED_NAME, chosen
+from embodied_depth_trainer.training.initial import SHIPPED, SHIPPED_NAME, chosen, given_depth
 from embodied_depth_trainer.training.progress import VALIDATIONS, Progress, draw
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.trainer import CHECKPOINT_FILE, Trainer, train
@@ -143,7 +143,8 @@ def _training(settings: WatchSettings) -> Settings:
     init = _initial(settings)
     if init is None:
         return settings.training
-    return replace(settings.training, init=init, learning_rate=GOING_ON, cycle=settings.steps)
+    given = given_depth(init)
+    return replace(settings.training, init=init, given_depth=given, learning_rate=GOING_ON, cycle=settings.steps)
 
 
 def _initial(settings: WatchSettings) -> str | None:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from torch import nn
 
+from embodied_depth_trainer.data.frame_set import GivenDepth
 from embodied_depth_trainer.errors import TrainerError
-from embodied_depth_trainer.networks.exported import load_exported
+from embodied_depth_trainer.networks.exported import load_exported, read_metadata
 from embodied_depth_trainer.networks.registry import build_network
 from embodied_depth_trainer.networks.state_dict import load_strictly
 from embodied_depth_trainer.training import checkpoint as checkpoints
@@ -47,6 +48,15 @@ def initial_network(name: str, depth_range_m: tuple[float, float], seed: int, fi
     if file is not None:
         load_initial(network, name, depth_range_m, file)
     return network.eval()
+
+
+def given_depth(file: str | None) -> GivenDepth:
+    """The depth that the network of `file` is given; coarse depth without one."""
+    if file is None:
+        return "coarse"
+    if is_exported(file):
+        return "dense" if read_metadata(Path(file))[1].get("given_depth") == "dense" else "coarse"
+    return checkpoints.load(Path(file)).given_depth
 
 
 def identity(file: str | None) -> str | None:
