@@ -430,7 +430,10 @@ impl Robot {
                 GivenDepth::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
                 GivenDepth::Dense => self.has_depth.dense.then(|| self.dense.last()),
             };
-            let result = network.estimate(frame, t_odom_camera, given);
+            let result = network.estimate(frame, t_odom_camera, given).map(|_| ());
+            if network.spec().given == GivenDepth::Dense {
+                network.doubt_unseen(self.has_depth.coarse.then(|| self.coarse.last()));
+            }
             timer.ended(Stage::Network);
             self.has_depth.network = result.is_ok();
             if let Err(why) = result {
