@@ -123,7 +123,9 @@ def apply(
     last.input[1] = "calibrated"
     graph.node.append(last)
     metadata["version"] += "-calibrated"
-    metadata["calibration"] = json.dumps({**vars(calibration), "frames": frames, "dataset": dataset})
+    metadata["calibration"] = json.dumps(
+        {**vars(calibration), "frames": frames, **({} if dataset is None else {"dataset": dataset})}
+    )
     helper.set_model_props(graph_of, metadata)
     onnx.checker.check_model(graph_of)
     write_atomically(graph_of.SerializeToString(), out)

@@ -97,5 +97,6 @@ def freeze(store: Store, shards: Iterable[str]) -> DatasetVersion:
         raise TrainerError(f"{problem}; make it with `embodied-depth prepare --check` before it is frozen") from None
     missing = sorted(names - {shard.shard for shard in chosen})
     if missing or not chosen:
-        raise TrainerError(f"{store.folder} has no shard {', '.join(missing)}; freeze shards of its table `segments`")
+        which = ", ".join(missing) if missing else "that was chosen"
+        raise TrainerError(f"{store.folder} has no shard {which}; freeze shards of its table `segments`")
     return DatasetVersion((store.recipe_digest,), chosen)
