@@ -1,13 +1,18 @@
 //! `cargo xtask bench`: builds the benchmarks in release and runs them.
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 
 use crate::tables::{self, Table};
-use crate::{command, models, onnx_runtime, paths, peers, trainer};
+use crate::{command, models, onnx_runtime, paths, peers, shards, trainer};
 
 /// Runs the benchmarks. With `update`, the table goes into docs/data/bench.json and
 /// docs/benchmarks.md.
 pub fn run(json: bool, update: bool, filter: Option<&str>) -> Result<()> {
+    if filter == Some("shards") {
+        ensure!(!json, "`cargo xtask bench shards` prints a table only; omit --json");
+        return shards::run(update);
+    }
+    ensure!(!update || filter.is_none(), "--update writes the whole table; omit the filter");
     let mut bench = command::cargo();
     bench.args(["run", "--release", "--quiet", "--locked", "--package", "bench", "--"]);
     if json {

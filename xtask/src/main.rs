@@ -28,6 +28,7 @@ mod python;
 mod quality;
 mod rig;
 mod safety_alone;
+mod shards;
 mod tables;
 mod test;
 mod trainer;
@@ -65,10 +66,12 @@ enum Chore {
         /// Print JSON instead of a table.
         #[arg(long)]
         json: bool,
-        /// Write the table to docs/data/bench.json and docs/benchmarks.md.
-        #[arg(long, conflicts_with_all = ["json", "filter"])]
+        /// Write the table to docs/data/bench.json and docs/benchmarks.md; with `shards`, to docs/data/shards.json and
+        /// docs/shards.md.
+        #[arg(long, conflicts_with = "json")]
         update: bool,
-        /// Name of an area, such as `mapping`, or a part of a row's name.
+        /// Name of an area, such as `mapping`, or a part of a row's name; or `shards`: how the trainer reads, which has a table of
+        /// its own.
         filter: Option<String>,
     },
     /// Measure the accuracy of depth, with and without disturbances. `cargo xtask accuracy --help` lists the options;

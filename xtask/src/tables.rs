@@ -198,7 +198,7 @@ mod tests {
             .iter()
             .map(|path| std::fs::read_to_string(path).unwrap())
             .collect();
-        for file in ["policies", "accuracy", "bench", "calibration", "localization"] {
+        for file in ["policies", "accuracy", "bench", "calibration", "localization", "shards"] {
             let path = paths::root().join(format!("docs/data/{file}.json"));
             let data: Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
             for (name, table) in data.as_object().unwrap() {
