@@ -326,6 +326,7 @@ def test_evaluate_writes_the_numbers_that_it_prints(
         "constant",
         "coarse",
         "coarse, holes filled",
+        "dense",
         "untrained",
         "untrained, where coarse is",
         "student, 1 steps",

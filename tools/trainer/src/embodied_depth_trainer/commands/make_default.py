@@ -39,12 +39,13 @@ FRAMES = 700
 CALIBRATION_FRAMES = 300
 # Neighbouring frames 3 cm apart add little.
 EVERY = 2
-STEPS = 3600
-DECAY_STEPS = 2000
+# On top of the steps of the network that --init names.
+STEPS = 2000
+DECAY_STEPS = 1300
 SETTINGS = Settings(
     network="student",
     batch=8,
-    learning_rate=2e-3,
+    learning_rate=1e-3,
     decay=(STEPS - DECAY_STEPS, STEPS),
     crop_width=320,
     # Labels contain what coarse depth and the colours of two neighbours would teach, and more, at a quarter of the

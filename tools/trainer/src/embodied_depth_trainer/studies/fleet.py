@@ -24,13 +24,14 @@ from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.pairs import PairRule
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.losses.recipes import recipe
+from embodied_depth_trainer.networks.inputs import give
 from embodied_depth_trainer.studies.locks import exclusive
 from embodied_depth_trainer.studies.loop import RESULT_FILE
 from embodied_depth_trainer.studies.robot import explore, find_firmware_host, render_views, robot_config
 from embodied_depth_trainer.studies.settings_file import keep_settings, plain
 from embodied_depth_trainer.studies.views import Views
 from embodied_depth_trainer.training import checkpoint as checkpoints
-from embodied_depth_trainer.training.initial import initial_network
+from embodied_depth_trainer.training.initial import given_depth, initial_network
 from embodied_depth_trainer.training.progress import Progress
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.trainer import Trainer, train
@@ -78,6 +79,7 @@ class FleetSettings:
             teacher_steps=3 * self.steps // 4,
             encoder=None if network == "student" else self.encoder,
             init=self.init,
+            given_depth=given_depth(self.init),
             amp=self.amp,
             loss=recipe(network),
         )
@@ -160,7 +162,9 @@ class Fleet:
     def _evaluate(self, policy: str, network: str, checkpoint: Path) -> None:
         """Evaluates the trained and the untrained network in every home."""
         saved = checkpoints.load(checkpoint)
-        untrained = initial_network(network, saved.depth_range_m, self.settings.seed, self.settings.init)
+        untrained = give(
+            initial_network(network, saved.depth_range_m, self.settings.seed, self.settings.init), saved.given_depth
+        )
         trained = saved.build()
         shared = self.settings.plain()
         schedule = {key: shared.pop(key) for key in ("frames", "steps")}

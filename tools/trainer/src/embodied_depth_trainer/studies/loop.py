@@ -26,6 +26,7 @@ from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.export.depth import export_checkpoint
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.losses.recipes import recipe
+from embodied_depth_trainer.networks.inputs import give
 from embodied_depth_trainer.networks.registry import build_network, takes_coarse
 from embodied_depth_trainer.studies.locks import exclusive, wait_for_lock
 from embodied_depth_trainer.studies.plots import draw_curve, draw_views
@@ -34,7 +35,7 @@ from embodied_depth_trainer.studies.schedule import Round, Schedule
 from embodied_depth_trainer.studies.settings_file import keep_settings, plain
 from embodied_depth_trainer.studies.views import Rows, Views
 from embodied_depth_trainer.training import checkpoint as checkpoints
-from embodied_depth_trainer.training.initial import initial_network
+from embodied_depth_trainer.training.initial import given_depth, initial_network
 from embodied_depth_trainer.training.progress import Progress
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.trainer import CHECKPOINT_FILE, Trainer, train
@@ -85,6 +86,7 @@ class LoopSettings:
             learning_rate=self.learning_rate,
             decay=(before_last, last) if self.decay else None,
             init=self.init,
+            given_depth=given_depth(self.init),
             amp=self.amp,
             loss=recipe(self.network),
         )
@@ -193,7 +195,9 @@ class _Loop:
         saved = checkpoints.load(self.out / "training" / CHECKPOINT_FILE)
         # The baselines, and the beginning of the curve.
         settings = self.settings
-        untrained = initial_network(saved.network, saved.depth_range_m, settings.seed, settings.init)
+        untrained = give(
+            initial_network(saved.network, saved.depth_range_m, settings.seed, settings.init), saved.given_depth
+        )
         first = {
             "frames": 0,
             "steps": 0,
