@@ -132,7 +132,7 @@ def test_evaluate_prints_an_onnx_file_beside_the_baselines_and_right_of_all_pixe
     head, *lines = capsys.readouterr().out.splitlines()
     assert head.split("|")[0].strip() == "right of all pixels  delta1 of share"
     names = [line[:36].strip() for line in lines]
-    assert names[:4] == ["constant", "coarse", "coarse, holes filled", "untrained"]
+    assert names[:5] == ["constant", "coarse", "coarse, holes filled", "dense", "untrained"]
     assert "student" in names
     # A file without our metadata, and images of another size.
     model = onnx.load(str(file))

@@ -3,7 +3,8 @@
 The export folds every batch norm into the convolution before it, which leaves a weight and a bias. Here the
 convolution receives the folded weight, and its batch norm the folded bias and the statistics 0 and 1: in evaluation
 mode the network computes what the file computes. In training mode a batch norm uses the statistics of the batch, which
-are others: `restore_statistics` measures them, and changes scale and bias so that the result stays the same.
+are others: `restore_statistics` measures them, and changes scale and bias so that the result stays the same. A
+calibration of the confidence is no part of the weights: the training goes on from the uncalibrated confidence.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ def _line(period: Period, end: int | None) -> str:
     by = f", by {period['trainer']}" if "trainer" in period else ""
     if "version" not in period:
         return f"{steps}: the file does not say on which recordings{by}"
-    every = f", every {period['every']}th frame" if period["every"] > 1 else ""
+    every = f", one of every {period['every']} frames" if period["every"] > 1 else ""
     size = f"{period['frames']} frames, {_count(period['shards'], 'shard')} of {_count(period['runs'], 'run')}"
     return f"{steps}: dataset {period['version']} ({size}{every}){by}"
 
