@@ -4,10 +4,11 @@ use hal::Pose2;
 use runtime::safety::SafetyConfig;
 use simulator::floor::Footprint;
 use simulator::load::{LoadOptions, UpAxis};
+use simulator::robot::Change;
 use simulator::{OpenOptions, RobotOptions, SceneError, World};
 
 use crate::cli::{SceneFileArgs, UpArg};
-use crate::config::Config;
+use crate::config::{Config, TruthSection};
 
 impl Config {
     /// The safety plane's configuration in simulation: the simulated base answers at once and stops within a step.
@@ -27,6 +28,13 @@ impl Config {
 #[must_use]
 pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> RobotOptions {
     let simulator = &config.simulator;
+    let truth = &simulator.truth;
+    if truth.changes_after_m > 0.0 {
+        let change = Some(change(config, truth));
+        let mut before = config.clone();
+        before.simulator.truth = TruthSection::default();
+        return RobotOptions { change, ..simulated_robot(&before, seed, start) };
+    }
     RobotOptions {
         camera: config.camera.model(),
         t_base_camera: simulator.truth.camera(config.camera.mount()).t_base_camera(),
@@ -44,6 +52,19 @@ pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> Robo
         seed,
         start,
         ..RobotOptions::default()
+    }
+}
+
+/// How the robot really is.
+fn change(config: &Config, truth: &TruthSection) -> Change {
+    Change {
+        after_m: truth.changes_after_m,
+        t_base_camera: truth.camera(config.camera.mount()).t_base_camera(),
+        t_base_laser: truth.lidar(config.lidar.mount()).t_base_laser_3d(),
+        wheels: truth.wheels(),
+        camera_late_s: truth.camera_late_s,
+        lidar_late_s: truth.lidar_late_s,
+        focal_scale: 1.0 + truth.focal_percent / 100.0,
     }
 }
 

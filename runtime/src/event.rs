@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::calibration_watch::Change;
 use crate::localization::{LostReason, WheelError};
 use crate::operator::OperatorOrder;
 use crate::perception::NoDepth;
@@ -77,6 +78,11 @@ pub enum Event {
     WheelsContradicted {
         /// How.
         how: WheelError,
+    },
+    /// A sensor or a wheel is no longer as it was at the beginning of the run. It comes once for each change.
+    CalibrationChanged {
+        /// What has changed, by how much and since when.
+        change: Change,
     },
     /// The program that sent poses has sent none for a second; the wheels give the pose. It comes once until the next pose.
     OutsidePosesSilent,

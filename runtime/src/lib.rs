@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod accuracy;
+pub mod calibration_watch;
 pub mod event;
 pub mod exploration;
 pub mod imaging;

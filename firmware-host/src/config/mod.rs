@@ -37,7 +37,7 @@ pub use sections::{
     BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, RecordingSection,
 };
 #[cfg(feature = "simulator")]
-pub use simulated::SimulatorSection;
+pub use simulated::{SimulatorSection, TruthSection};
 #[cfg(not(feature = "simulator"))]
 pub use without_simulator::SimulatorSection;
 

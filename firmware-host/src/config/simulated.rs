@@ -12,6 +12,9 @@ hal::settings! {
     /// How the simulated robot differs from what `[camera]`, `[lidar]` and `[devices.base]` say of it: what a wrong calibration costs, and
     /// what `calibrate` finds, can be simulated. By default it is as it is configured.
     pub struct TruthSection {
+        /// The robot is as it is configured until it has driven this far, and then differs: a sensor is hit, a wheel is exchanged. 0:
+        /// it differs from the beginning.
+        changes_after_m: f64 = 0.0, in 0.0..=10000.0, unit "m";
         /// How much farther forward than `camera.forward_m` the camera is.
         camera_forward_m: f64 = 0.0, in -0.2..=0.2, unit "m";
         /// How much farther to the left than `camera.left_m` the camera is.

@@ -49,6 +49,9 @@ pub struct EventCounts {
     /// Times that wheels and scans reported different motions, by kind.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub wheels_contradicted: Reasons,
+    /// Changes of the calibration, by what changed.
+    #[serde(skip_serializing_if = "Reasons::is_empty")]
+    pub calibration_changed: Reasons,
     /// Refused sensor inputs, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub refused_inputs: Reasons,
@@ -83,6 +86,9 @@ impl EventCounts {
             Event::NoDepth { why } => count(&mut self.no_depth, why),
             Event::Lost { why } => count(&mut self.lost, why),
             Event::WheelsContradicted { how } => count(&mut self.wheels_contradicted, how),
+            Event::CalibrationChanged { change } => {
+                count(&mut self.calibration_changed, &change.what);
+            }
             Event::InputRefused { why } => count(&mut self.refused_inputs, why),
             Event::Safety { what: SafetyEvent::Tripped { by, .. } } => {
                 *self.bumper_trips.get_or_insert(0) += 1;

@@ -109,6 +109,7 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ("no depth", counted(&events.no_depth, "frames")),
         ("lost", counted(&events.lost, "times")),
         ("wheels", counted(&events.wheels_contradicted, "times")),
+        ("calibration", counted(&events.calibration_changed, "changes")),
         ("refused", counted(&events.refused_inputs, "inputs")),
         (
             "memory",

@@ -4,7 +4,8 @@ use std::time::Instant;
 
 use anyhow::Result;
 use drivers::DeviceStatus;
-use hal::{Pose2, WheelFeedback};
+use hal::{Clock, Pose2, WheelFeedback};
+use runtime::calibration_watch::Change;
 use runtime::event::{Event, SafetyEvent};
 use runtime::latency::Percentiles;
 use runtime::lidar_agreement::LidarAgreement;
@@ -16,7 +17,7 @@ use runtime::session::{Observer, SafetyPort, Session};
 use runtime::tick::{Decision, TickInput};
 
 use super::live_devices::LiveDevices;
-use super::status::ExplorationStatus;
+use super::status::{CalibrationChange, CalibrationStatus, ExplorationStatus, unix_s};
 use crate::config::Config;
 use crate::live::Live;
 use crate::map::KeptMap;
@@ -99,6 +100,7 @@ impl Exploration {
             tick_p99_ms: total.map_or(0.0, |total| total.p99),
             line: self.log.line.overall(),
             line_by_distance: self.log.line.by_distance(),
+            calibration: calibration(robot, self.session.devices().now_ns()),
             model: robot.network_digest(),
             on_trial: self.log.models.as_ref().and_then(LiveModels::on_trial).map(str::to_owned),
             mapped_m2: free as f64 * map.cell_m() * map.cell_m(),
@@ -210,6 +212,7 @@ impl RunLog {
                     | Event::Found { .. }
                     | Event::StandsLost
                     | Event::WheelsContradicted { .. }
+                    | Event::CalibrationChanged { .. }
             ) {
                 tracing::warn!("{}", sentence(event).1);
             }
@@ -296,6 +299,18 @@ impl Observer for RunLog {
         self.record(robot, input, decision)?;
         self.frames += u64::from(input.frame.is_some());
         Ok(())
+    }
+}
+
+fn calibration(robot: &Robot, now_ns: u64) -> CalibrationStatus {
+    let watch = robot.calibration();
+    let since = |change: &Change| {
+        let ago_s = now_ns.saturating_sub(change.since_ns) as f64 * 1e-9;
+        CalibrationChange { change: *change, since_unix_s: unix_s() - ago_s }
+    };
+    CalibrationStatus {
+        changes: watch.changes().map(since).collect(),
+        measured: watch.measured().collect(),
     }
 }
 

@@ -5,7 +5,9 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use drivers::{DeviceState, DeviceStatus};
 use hal::PowerReport;
+use runtime::calibration_watch::{Change, Measured};
 use runtime::lidar_agreement::AgreementStats;
+use runtime::recording::changed;
 use serde::{Deserialize, Serialize};
 
 pub use super::last_stop::LastStop;
@@ -171,12 +173,43 @@ pub struct ExplorationStatus {
     pub line: Option<AgreementStats>,
     /// The same accuracy in ranges of distance.
     pub line_by_distance: Vec<AgreementStats>,
+    /// What the robot finds of its own calibration.
+    pub calibration: CalibrationStatus,
     /// Digest of the model in use; absent with coarse depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
     /// Digest of the model on trial, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub on_trial: Option<String>,
+}
+
+/// What the robot finds of its own calibration while it drives.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct CalibrationStatus {
+    /// The last change of each parameter that has changed in this run.
+    pub changes: Vec<CalibrationChange>,
+    /// Every parameter as the last metres show it: its value less the configured one, rad, m and s.
+    pub measured: Vec<Measured>,
+}
+
+/// A parameter that is no longer as it was at the beginning of the run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationChange {
+    /// What has changed, by how much and since when.
+    pub change: Change,
+    /// When it began, seconds since 1970.
+    pub since_unix_s: f64,
+}
+
+impl CalibrationChange {
+    fn worry(&self, now_unix_s: f64) -> String {
+        let minutes = (now_unix_s - self.since_unix_s) / 60.0;
+        format!(
+            "{}, {minutes:.0} min ago: look at it; `firmware-host calibrate --recording RUN` measures it again",
+            changed(&self.change)
+        )
+    }
 }
 
 /// The state of the recording.
@@ -279,6 +312,8 @@ impl Status {
                 .as_ref()
                 .map(|why| format!("the robot does not know where it is and searches: {why}")),
         );
+        let changes = &self.exploration.calibration.changes;
+        worries.extend(changes.iter().map(|change| change.worry(now_unix_s)));
         worries.extend(
             self.recording
                 .failure
@@ -359,6 +394,7 @@ pub fn unix_s() -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use runtime::calibration_watch::{Manner, Watched};
 
     fn working(name: &str) -> DeviceHealth {
         DeviceHealth {
@@ -408,6 +444,25 @@ mod tests {
             "disk full",
             "88 degrees",
         ] {
+            assert!(worries.contains(part), "{part} in {worries}");
+        }
+    }
+
+    #[test]
+    fn a_changed_calibration_is_a_worry_with_its_size_its_time_and_the_way_out() {
+        let mut status = well();
+        let change = Change {
+            what: Watched::CameraPitch,
+            by: 0.0175,
+            sigma: 0.002,
+            since_m: 312.4,
+            since_ns: 5_000_000_000,
+            manner: Manner::AtOnce,
+        };
+        status.exploration.calibration.changes =
+            vec![CalibrationChange { change, since_unix_s: 100.0 }];
+        let worries = status.worries(100.0 + 180.0).join("\n");
+        for part in ["1.0 degrees more down", "after 312 m", "3 min ago", "calibrate --recording"] {
             assert!(worries.contains(part), "{part} in {worries}");
         }
     }

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::snapshot::{SnapshotError, State, remembers};
 
 use super::LocalizationConfig;
+use super::driven_leg::{DrivenLeg, ScanVariances};
 use super::matcher::{Alignment, Prior, ScanFit, Surfaces, align};
 use super::scan_points::{ScanPoints, Stretch, Velocity};
 use super::search_grid::{Search, SearchGrid, Window};
@@ -88,6 +89,8 @@ pub(crate) struct LocalTracker {
     last_wheel: Option<Pose2>,
     last_time_ns: u64,
     velocity: Velocity,
+    /// The stretch of the drive that the last scan ended, if it ended one.
+    leg: Option<DrivenLeg>,
 }
 
 remembers!(LocalTracker: keyframes, wheel, pose, covariance, last_wheel, last_time_ns, velocity);
@@ -123,6 +126,7 @@ impl LocalTracker {
             last_wheel: None,
             last_time_ns: 0,
             velocity: Velocity::default(),
+            leg: None,
         }
     }
 
@@ -136,6 +140,11 @@ impl LocalTracker {
 
     pub(crate) fn wheel(&self) -> &WheelModel {
         &self.wheel
+    }
+
+    /// The stretch of the drive that the last scan ended, once.
+    pub(crate) fn take_leg(&mut self) -> Option<DrivenLeg> {
+        self.leg.take()
     }
 
     pub(crate) fn geometry(&self) -> &ScanGeometry {
@@ -320,19 +329,26 @@ impl LocalTracker {
             self.covariance = 0.5 * (covariance + covariance.transpose());
         }
         self.pose = alignment.pose;
-        let [yaw_variance, forward_variance] = self.scan_variances(&alignment.information);
-        self.wheel.observe(&self.pose, yaw_variance, forward_variance);
+        let variances = self.scan_variances(&alignment.information);
+        self.leg = self.wheel.observe(&self.pose, variances);
     }
 
-    /// Variances of yaw and of the position along the heading by the scan alone; infinite where it says nothing.
-    fn scan_variances(&self, information: &Matrix3<f64>) -> [f64; 2] {
-        let Some(covariance) = information.try_inverse() else { return [f64::INFINITY; 2] };
+    fn scan_variances(&self, information: &Matrix3<f64>) -> ScanVariances {
+        let Some(covariance) = information.try_inverse() else {
+            let nothing = f64::INFINITY;
+            return ScanVariances { yaw_rad2: nothing, forward_m2: nothing, left_m2: nothing };
+        };
         let (sin, cos) = self.pose.yaw_rad.sin_cos();
-        let heading = Vector3::new(cos, sin, 0.0);
-        let forward = heading.dot(&(covariance * heading));
-        // 5 cm and more: the scan sees no wall that the robot drives towards or away from.
-        let forward = if forward > 0.0 && forward < 0.0025 { forward } else { f64::INFINITY };
-        [covariance[(2, 2)].max(0.0), forward]
+        // 5 cm and more: the scan sees no wall that the robot drives towards or away from, or along.
+        let along = |axis: Vector3<f64>| {
+            let variance = axis.dot(&(covariance * axis));
+            if variance > 0.0 && variance < 0.0025 { variance } else { f64::INFINITY }
+        };
+        ScanVariances {
+            yaw_rad2: covariance[(2, 2)].max(0.0),
+            forward_m2: along(Vector3::new(cos, sin, 0.0)),
+            left_m2: along(Vector3::new(-sin, cos, 0.0)),
+        }
     }
 
     fn is_due(&self) -> bool {

@@ -5,6 +5,7 @@ use nalgebra::Matrix3;
 
 use crate::snapshot::{SnapshotError, State};
 
+use super::driven_leg::DrivenLeg;
 use super::global::GlobalMap;
 use super::local::{LocalTracker, Tracked};
 use super::lost::{Doubt, LostReason, Whereabouts};
@@ -34,6 +35,8 @@ pub struct Estimate {
     pub whereabouts: Whereabouts,
     /// The wheels have begun to contradict the scans. The scans keep the pose.
     pub wheel_error: Option<WheelError>,
+    /// The stretch of the drive that this update's scan ended, if it ended one.
+    pub leg: Option<DrivenLeg>,
 }
 
 impl Estimate {
@@ -116,6 +119,7 @@ impl Localizer {
             tracked = Some(result);
             t_odom_base_at_scan = Some(self.local.pose());
         }
+        let leg = self.local.take_leg();
         self.local.predict(wheel);
         let revision = self.global.revision();
         self.work();
@@ -125,6 +129,7 @@ impl Localizer {
             matched: tracked.is_some_and(|tracked| tracked.matched),
             closed: self.global.revision() > revision,
             wheel_error,
+            leg,
             ..self.estimate()
         }
     }
@@ -272,6 +277,7 @@ impl Localizer {
             closed: false,
             whereabouts: self.whereabouts,
             wheel_error: None,
+            leg: None,
         }
     }
 

@@ -16,6 +16,7 @@
 mod closing;
 mod config;
 mod drift;
+mod driven_leg;
 mod error;
 mod global;
 mod local;
@@ -34,10 +35,11 @@ mod slip;
 mod submaps;
 mod surfel_grid;
 #[cfg(test)]
-mod test_room;
+pub(crate) mod test_room;
 mod wheel_model;
 
 pub use config::{LocalizationConfig, PoseSource};
+pub use driven_leg::{DrivenLeg, ScanVariances};
 pub use error::LocalizationError;
 pub use localizer::{Estimate, Localizer};
 pub use lost::{LostReason, Whereabouts};

@@ -53,6 +53,8 @@ pub(crate) struct TestRobot {
     /// Shares of distance and yaw, and radians per metre.
     pub wheel_noise: [f64; 2],
     pub drift_rad_per_m: f64,
+    /// Where the scanner really is.
+    pub t_base_laser: Pose2,
     pub range_noise_m: f64,
     /// The motion of the current step.
     motion: Pose2,
@@ -72,6 +74,7 @@ impl TestRobot {
             time_ns: 0,
             wheel_noise: [0.01, 0.02],
             drift_rad_per_m: 0.03,
+            t_base_laser: Pose2::IDENTITY,
             range_noise_m: 0.02,
             motion: Pose2::IDENTITY,
             rng: Pcg64Mcg::seed_from_u64(seed),
@@ -113,7 +116,7 @@ impl TestRobot {
             let share = geometry.angle_rad(beam) / std::f64::consts::TAU;
             let after = share * geometry.period_ns as f64 / STEP_NS as f64;
             let moved = Pose2::new(self.motion.x_m * after, 0.0, self.motion.yaw_rad * after);
-            let pose = self.truth.compose(&moved);
+            let pose = self.truth.compose(&moved).compose(&self.t_base_laser);
             let exact =
                 cast(&self.walls, pose.x_m, pose.y_m, pose.yaw_rad + geometry.angle_rad(beam));
             let range_m = exact + self.range_noise_m * self.normal();

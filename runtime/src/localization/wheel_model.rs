@@ -9,6 +9,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2};
 use serde::{Deserialize, Serialize};
 
 use super::LocalizationConfig;
+use super::driven_leg::{DrivenLeg, ScanVariances};
 
 /// Before anything is learnt: standard deviations of the three numbers. Real robots have been seen to drift by 0.065 rad/m
 /// (Intel Research Lab) and to be 5 % wrong in yaw (Freiburg, building 079).
@@ -43,7 +44,7 @@ pub(crate) struct WheelModel {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Leg {
     /// Where the leg began according to the scans.
-    from: Option<(Pose2, f64)>,
+    from: Option<(Pose2, ScanVariances)>,
     /// Sums of reported increments: signed distance, and yaw.
     distance_m: f64,
     yaw_rad: f64,
@@ -51,11 +52,19 @@ struct Leg {
     travelled: f64,
     /// The leg's end in the frame of its beginning, by the corrected wheels.
     motion: Pose2,
+    /// The same as the wheels reported it.
+    reported: Pose2,
 }
 
 impl Leg {
-    const EMPTY: Self =
-        Self { from: None, distance_m: 0.0, yaw_rad: 0.0, travelled: 0.0, motion: Pose2::IDENTITY };
+    const EMPTY: Self = Self {
+        from: None,
+        distance_m: 0.0,
+        yaw_rad: 0.0,
+        travelled: 0.0,
+        motion: Pose2::IDENTITY,
+        reported: Pose2::IDENTITY,
+    };
 }
 
 /// A motion of the robot in its own frame, with its covariance.
@@ -122,22 +131,30 @@ impl WheelModel {
         self.leg.yaw_rad += raw.yaw_rad;
         self.leg.travelled += distance_m.abs() + raw.yaw_rad.abs();
         self.leg.motion = self.leg.motion.compose(&self.correct(raw).pose);
+        self.leg.reported = self.leg.reported.compose(raw);
     }
 
-    /// The scans say that the robot is at `pose`, with these variances of its yaw and of its position along its heading
-    /// (infinite in a corridor). Learns if the leg is long enough.
-    pub(crate) fn observe(&mut self, pose: &Pose2, yaw_variance: f64, forward_variance: f64) {
-        let Some((from, from_variance)) = self.leg.from else {
-            self.leg = Leg { from: Some((*pose, yaw_variance)), ..Leg::EMPTY };
-            return;
+    /// The scans say that the robot is at `pose`, with these variances. Learns if the leg is long enough, and returns it then.
+    pub(crate) fn observe(&mut self, pose: &Pose2, variances: ScanVariances) -> Option<DrivenLeg> {
+        let next = Leg { from: Some((*pose, variances)), ..Leg::EMPTY };
+        let Some((from, from_variances)) = self.leg.from else {
+            self.leg = next;
+            return None;
         };
         if self.leg.travelled < LEG {
-            return;
+            return None;
         }
         let moved = from.inverse().compose(pose);
-        self.learn_yaw(moved.yaw_rad, yaw_variance + from_variance);
-        self.learn_distance(&moved, forward_variance);
-        self.leg = Leg { from: Some((*pose, yaw_variance)), ..Leg::EMPTY };
+        self.learn_yaw(moved.yaw_rad, variances.yaw_rad2 + from_variances.yaw_rad2);
+        self.learn_distance(&moved, variances.forward_m2);
+        let leg = std::mem::replace(&mut self.leg, next);
+        Some(DrivenLeg {
+            distance_m: leg.distance_m,
+            yaw_rad: leg.yaw_rad,
+            by_wheels: leg.reported,
+            by_scans: moved,
+            variances: variances.plus(&from_variances),
+        })
     }
 
     /// The current leg says nothing about the wheels: the robot slipped, was carried, or its scans did not fit.
@@ -200,6 +217,10 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn variances(forward_m2: f64) -> ScanVariances {
+        ScanVariances { yaw_rad2: 1e-6, forward_m2, left_m2: 1e-6 }
+    }
+
     proptest! {
         /// Whatever mixture of driving and rotating: what scans of a robot with a constant bias say is learnt.
         #[test]
@@ -220,7 +241,7 @@ mod tests {
                 let yaw = raw.yaw_rad * (1.0 + scale) + drift * raw.x_m;
                 pose = pose.compose(&Pose2::new(raw.x_m, 0.0, yaw));
                 model.drove(&raw);
-                model.observe(&pose, 1e-6, 1e-6);
+                model.observe(&pose, variances(1e-6));
             }
             let [learnt_drift, learnt_scale, _] = model.errors();
             prop_assert!((learnt_drift - drift).abs() < 0.004, "{learnt_drift} {drift}");
@@ -233,7 +254,7 @@ mod tests {
         let mut model = WheelModel::new(&LocalizationConfig::default());
         for step in 0..200 {
             model.drove(&Pose2::new(0.03, 0.0, 0.0));
-            model.observe(&Pose2::new(0.01 * f64::from(step), 0.0, 0.0), 1e-6, f64::INFINITY);
+            model.observe(&Pose2::new(0.01 * f64::from(step), 0.0, 0.0), variances(f64::INFINITY));
         }
         assert!(model.errors()[2].abs() < f64::EPSILON);
     }

@@ -59,6 +59,10 @@ hal::settings! {
         clear_margin: f32 = 0.05, in 0.0..=0.9;
         /// Depth with a lower probability of being correct stays out of the map.
         min_confidence: f32 = 0.8, in 0.0..=1.0;
+        /// After the camera was turned by more than this during the run, the map takes no more depth from it, and the robot goes
+        /// on with scans; 180: it always takes depth. See docs/calibration.md.
+        camera_trust_deg: f64 = 1.5, in 0.0..=180.0, unit "deg",
+            source "at 1.7 degrees the floor at `mark_range_m` seems as high as `band_min_m`, and is an obstacle";
         /// Every n-th column of the depth image is used.
         stride_u: usize = 4, in 1..=64, unit "columns";
         /// Every n-th row of the depth image is used.

@@ -20,6 +20,7 @@ use super::sweep::{CELL, FAR, MAX_REFERENCES, PLANES, Reference, hypotheses, swe
 use super::upsample::Cells;
 use super::wta::{Vote, winner_takes_all};
 use super::{CoarseConfig, DepthEstimate, NoDepth, PerceptionError};
+use crate::calibration_watch::Sums;
 use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 
 /// Scene depth for which parallax is predicted before any was measured, metres.
@@ -208,6 +209,12 @@ impl CoarseDepth {
     pub fn take_yaw_error(&mut self, up: &Vector3<f64>) -> Option<YawError> {
         let has_motion = std::mem::take(&mut self.has_motion);
         self.rotation_filter.error_about(up).filter(|_| has_motion)
+    }
+
+    /// What image motion says of the camera's mount. `None` when the last frame had no flow to the frame before, and after
+    /// [`take_yaw_error`](Self::take_yaw_error).
+    pub(crate) fn mount(&self) -> Option<Sums<3>> {
+        self.rotation_filter.mount().filter(|_| self.has_motion)
     }
 
     /// The result of the last successful [`estimate`](Self::estimate).

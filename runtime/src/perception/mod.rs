@@ -29,6 +29,7 @@ mod frame_motion;
 mod fusion;
 mod keyframes;
 mod motion_mask;
+mod mount_equations;
 pub mod network;
 mod refine;
 mod rotation_filter;

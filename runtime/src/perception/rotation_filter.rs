@@ -13,6 +13,8 @@ use serde::{Deserialize, Serialize};
 use super::belief::Belief;
 use super::census::CensusImage;
 use super::flow::FlowField;
+use super::mount_equations::{Moved, mount_equations};
+use crate::calibration_watch::Sums;
 use crate::snapshot::remembers;
 
 /// Unknowns: the rotation, the factor by which depth is wrong (in the middle of the image and its change towards the right
@@ -105,12 +107,14 @@ pub struct FlowObservation<'a> {
 }
 
 /// The correction of the rotation between two frames that follows from flow.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 struct Correction {
     /// Rotation vector in the camera's axes.
     rotation: Vector3<f64>,
     /// Variance about each axis, rad^2.
     variance: Vector3<f64>,
+    /// What the same flow says of the camera's mount.
+    mount: Sums<3>,
 }
 
 /// The linearised reprojection error of one cell in the previous frame.
@@ -152,9 +156,15 @@ impl RotationFilter {
     /// What flow says of the rotation about `axis` (a unit vector in the camera's axes) since the previous frame, beside the
     /// measured poses. `None` where the last update did not use flow.
     pub fn error_about(&self, axis: &Vector3<f64>) -> Option<YawError> {
-        let Correction { rotation, variance } = self.measured?;
+        let Correction { rotation, variance, .. } = self.measured?;
         let variance_rad2 = variance.dot(&axis.component_mul(axis));
         Some(YawError { rad: rotation.dot(axis), variance_rad2 })
+    }
+
+    /// What flow says of the camera's mount: pitch, yaw and roll beside the configured ones. `None` where the last update did not
+    /// use flow.
+    pub(crate) fn mount(&self) -> Option<Sums<3>> {
+        Some(self.measured?.mount)
     }
 
     /// Forgets the previous pose.
@@ -249,7 +259,7 @@ impl RotationFilter {
             return None;
         }
         let rotation_error = ROTATION_ERROR_RAD + ROTATION_ERROR * t_now_before.rotation.angle();
-        solve(&self.equations, rotation_error)
+        solve(&self.equations, rotation_error, t_now_before)
     }
 }
 
@@ -301,12 +311,12 @@ fn equation(
 }
 
 /// The rotation that fits the equations best.
-fn solve(equations: &[Equation], rotation_error: f64) -> Option<Correction> {
+fn solve(equations: &[Equation], rotation_error: f64, t_now_before: &Pose3) -> Option<Correction> {
     let mut prior = SVector::<f64, UNKNOWNS>::repeat(rotation_error.powi(-2));
     prior.fixed_rows_mut::<3>(3).fill(DEPTH_ERROR.powi(-2));
     prior.fixed_rows_mut::<3>(6).fill(STEP_ERROR_M.powi(-2));
     let mut unknowns = SVector::<f64, UNKNOWNS>::zeros();
-    let mut correction = Correction::default();
+    let mut covariance = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::zeros();
     for scale_px in SCALES_PX {
         let mut normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_diagonal(&prior);
         let mut right = SVector::<f64, UNKNOWNS>::zeros();
@@ -319,14 +329,32 @@ fn solve(equations: &[Equation], rotation_error: f64) -> Option<Correction> {
         }
         let cholesky = normal.cholesky()?;
         unknowns = cholesky.solve(&right);
-        let variance = cholesky.inverse().diagonal();
-        correction = Correction {
-            rotation: unknowns.fixed_rows::<3>(0).into(),
-            variance: Vector3::from(variance.fixed_rows::<3>(0))
-                .add_scalar(ESTIMATE_ERROR_RAD * ESTIMATE_ERROR_RAD),
-        };
+        covariance = cholesky.inverse();
     }
-    Some(correction)
+    let variance = covariance.diagonal();
+    Some(Correction {
+        rotation: unknowns.fixed_rows::<3>(0).into(),
+        variance: Vector3::from(variance.fixed_rows::<3>(0))
+            .add_scalar(ESTIMATE_ERROR_RAD * ESTIMATE_ERROR_RAD),
+        mount: mount_equations(&moved(t_now_before, &unknowns, &covariance, &prior)),
+    })
+}
+
+/// The part of the unknowns that a wrong mount explains: rotation and translation.
+fn moved(
+    t_now_before: &Pose3,
+    unknowns: &SVector<f64, UNKNOWNS>,
+    covariance: &SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    prior: &SVector<f64, UNKNOWNS>,
+) -> Moved {
+    const PARTS: [usize; 6] = [0, 1, 2, 6, 7, 8];
+    Moved {
+        rotation: t_now_before.rotation.to_rotation_matrix().into_inner(),
+        translation_m: t_now_before.translation.vector,
+        errors: SVector::from_fn(|row, _| unknowns[PARTS[row]]),
+        covariance: SMatrix::from_fn(|row, column| covariance[(PARTS[row], PARTS[column])]),
+        prior: SVector::from_fn(|row, _| prior[PARTS[row]]),
+    }
 }
 
 remembers!(RotationFilter: before, variance, correction, mean_square, reversal, frames);

@@ -7,6 +7,7 @@
 //! All times in the stream are the run's monotonic times. The header of each segment of a real robot says which date that is; a
 //! simulated run has none, so that the same run gives the same bytes.
 
+mod calibration_words;
 mod container;
 mod digest;
 mod error;
@@ -25,6 +26,7 @@ mod writer;
 mod tests;
 
 pub use self::image::quantise_mm;
+pub use calibration_words::changed;
 pub use digest::{RunDigest, input_digest};
 pub use error::RecordingError;
 pub use header::{FORMAT_VERSION, HandOverSchedule, RunHeader, SegmentHeader};

@@ -1,5 +1,6 @@
 //! The sentences that describe events in logs, in `health` and in the viewer.
 
+use super::calibration_words::changed;
 use crate::event::{
     BackOffEnd, DropReason, Event, FaultReason, GoalReason, NoGoalReason, PlanRefusal,
     RefusedInput, SafetyEvent, TripCause,
@@ -68,6 +69,7 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::WheelsContradicted { how } => {
             (Warning, format!("wheels and scans disagree: {}", wheel_error(*how)))
         }
+        Event::CalibrationChanged { change } => (Warning, changed(change)),
         Event::OutsidePosesSilent => (
             Warning,
             "no pose from outside for a second: the wheels give the pose until one comes".to_owned(),

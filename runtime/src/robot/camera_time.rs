@@ -6,8 +6,10 @@
 //! Kalman filter (Kalman 1960) with one state finds the latency.
 
 use hal::{Pose2, Twist2};
+use nalgebra::Vector1;
 use serde::{Deserialize, Serialize};
 
+use crate::calibration_watch::Sums;
 use crate::perception::YawError;
 
 /// Latency that is expected before any frame: within 20 ms of the stamp, as a standard deviation.
@@ -67,22 +69,24 @@ impl CameraTime {
     }
 
     /// Learns from a frame whose pose came from [`at_exposure`](Self::at_exposure). `yaw_error` is what image motion says of
-    /// the yaw since the frame before; `None` when it says nothing.
-    pub(super) fn observe(&mut self, time_ns: u64, twist: &Twist2, yaw_error: Option<YawError>) {
+    /// the yaw since the frame before; `None` when it says nothing. Returns what the frame says of the latency, in seconds.
+    pub(super) fn observe(
+        &mut self,
+        time_ns: u64,
+        twist: &Twist2,
+        yaw_error: Option<YawError>,
+    ) -> Option<Sums<1>> {
         let yaw_rate_radps = twist.angular_radps;
         if !yaw_rate_radps.is_finite() {
             self.before = None;
-            return;
+            return None;
         }
         let corrected_rad = -self.latency_s * yaw_rate_radps;
         let now = FrameTime { time_ns, yaw_rate_radps, corrected_rad };
-        let Some(before) = self.before.replace(now) else { return };
+        let before = self.before.replace(now)?;
         let passed_s = time_ns.saturating_sub(before.time_ns) as f64 * 1e-9;
         self.variance_s2 += WALK_S * WALK_S * passed_s;
-        if passed_s > LONGEST_GAP_S {
-            return;
-        }
-        let Some(error) = yaw_error else { return };
+        let error = yaw_error.filter(|_| passed_s <= LONGEST_GAP_S)?;
         // Without correction, the yaw between the frames would be wrong by -latency * change.
         let change_radps = yaw_rate_radps - before.yaw_rate_radps;
         let uncorrected_rad = error.rad + corrected_rad - before.corrected_rad;
@@ -90,13 +94,15 @@ impl CameraTime {
         let yaw_rad = yaw_rate_radps.abs().max(before.yaw_rate_radps.abs()) * passed_s;
         let noise_rad2 =
             error.variance_rad2 + HEADING_ERROR_RAD.powi(2) + (HEADING_ERROR * yaw_rad).powi(2);
+        let said = Sums::of(Vector1::new(-change_radps), uncorrected_rad, noise_rad2);
         let total_rad2 = self.variance_s2 * change_radps * change_radps + noise_rad2;
         if innovation_rad * innovation_rad > GATE * GATE * total_rad2 {
-            return;
+            return Some(said);
         }
         let gain = -self.variance_s2 * change_radps / total_rad2;
         self.latency_s = (self.latency_s + gain * innovation_rad).clamp(-LARGEST_S, LARGEST_S);
         self.variance_s2 *= noise_rad2 / total_rad2;
+        Some(said)
     }
 }
 

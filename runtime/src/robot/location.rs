@@ -4,8 +4,8 @@ use hal::{LaserScan, Pose2, ScanGeometry};
 use serde::{Deserialize, Serialize};
 
 use crate::localization::{
-    Estimate, LocalizationConfig, LocalizationError, Localizer, LostReason, PoseSource, WheelError,
-    Whereabouts,
+    DrivenLeg, Estimate, LocalizationConfig, LocalizationError, Localizer, LostReason, PoseSource,
+    WheelError, Whereabouts,
 };
 use crate::snapshot::{SnapshotError, State};
 use crate::tick::TickInput;
@@ -52,6 +52,8 @@ pub(super) struct Located {
     /// Whether `t_map_odom` is known.
     pub whereabouts: Whereabouts,
     pub wheel_error: Option<WheelError>,
+    /// The stretch of the drive that this tick's scan ended, if it ended one.
+    pub leg: Option<DrivenLeg>,
 }
 
 impl Located {
@@ -62,7 +64,7 @@ impl Located {
             t_map_odom: Pose2::IDENTITY,
             t_odom_base_at_scan: at_scan,
         };
-        Self { poses, whereabouts: Whereabouts::Localized, wheel_error: None }
+        Self { poses, whereabouts: Whereabouts::Localized, wheel_error: None, leg: None }
     }
 }
 
@@ -109,6 +111,7 @@ impl Location {
             poses: self.poses(&estimate),
             whereabouts: estimate.whereabouts,
             wheel_error: estimate.wheel_error,
+            leg: estimate.leg,
         }
     }
 

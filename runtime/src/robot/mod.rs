@@ -18,6 +18,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
+use crate::calibration_watch::CalibrationWatch;
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
 use crate::localization::{LocalizationConfig, LocalizationError, Whereabouts};
@@ -173,6 +174,7 @@ pub struct Robot {
     has_depth: HasDepth,
     location: Location,
     camera_time: CameraTime,
+    watch: CalibrationWatch,
     outside: OutsideOdometry,
     wheel_frame: WheelFrame,
     poses: TickPoses,
@@ -222,6 +224,7 @@ impl Robot {
             has_depth: HasDepth::default(),
             location: Location::new(config.localization.clone(), config.t_base_laser)?,
             camera_time: CameraTime::default(),
+            watch: CalibrationWatch::default(),
             outside: OutsideOdometry::default(),
             wheel_frame: WheelFrame::default(),
             poses: TickPoses::START,
@@ -345,6 +348,7 @@ impl Robot {
         }
         self.estimate_depth(input, &t_odom_camera, &mut events, timer);
         self.find_camera_time(input);
+        self.watch_calibration(input, &mut events);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
         let is_mapped = self.whereabouts == Whereabouts::Localized;
         if is_mapped {
@@ -464,9 +468,27 @@ impl Robot {
     fn find_camera_time(&mut self, input: &TickInput<'_>) {
         if input.frame.is_some() {
             let up = self.config.t_base_camera.rotation.inverse() * Vector3::z();
+            if let Some(mount) = self.coarse.mount() {
+                self.watch.see_camera(&mount);
+            }
             let yaw_error = self.coarse.take_yaw_error(&up);
-            self.camera_time.observe(input.wheel.time_ns, &input.wheel.twist, yaw_error);
+            let said = self.camera_time.observe(input.wheel.time_ns, &input.wheel.twist, yaw_error);
+            // Without the correction of frames, image motion shows another error than is assumed.
+            if let Some(said) = said.filter(|_| self.config.localization.estimate_camera_latency) {
+                self.watch.see_latency(&said);
+            }
         }
+    }
+
+    fn watch_calibration(&mut self, input: &TickInput<'_>, events: &mut Vec<Event>) {
+        let found = self.watch.advance(&input.wheel.odom, input.wheel.time_ns);
+        events.extend(found.map(|change| Event::CalibrationChanged { change }));
+    }
+
+    /// What the robot finds of its own calibration while it drives.
+    #[must_use]
+    pub fn calibration(&self) -> &CalibrationWatch {
+        &self.watch
     }
 
     /// Time from the exposure of a frame to its stamp as found so far, and its standard deviation, seconds.
@@ -551,6 +573,8 @@ impl Robot {
         if self.map.begin_update(&t_map_base).is_err() {
             return;
         }
+        let turned_deg = self.watch.camera_turned_rad().to_degrees();
+        let trusts_camera = turned_deg <= self.config.map.camera_trust_deg;
         // The body of `mapped_depth`, repeated so that the borrow checker sees that `self.map` is not borrowed.
         let depth = match self.config.depth_source {
             DepthSource::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
@@ -560,7 +584,7 @@ impl Robot {
             }
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         };
-        if let Some(depth) = depth
+        if let Some(depth) = depth.filter(|_| trusts_camera)
             && let Ok(newest) = self.map.integrate_depth(depth, &self.config.camera, &t_map_camera)
         {
             let gap = self.config.exploration.inconsistency_gap;
@@ -621,6 +645,10 @@ impl Robot {
         let corrected = self.outside.apply(input, events);
         let located = self.location.update(&self.wheel_frame.apply(&corrected), scan);
         self.poses = located.poses;
+        // What another program's poses have corrected is not what the wheels say.
+        if let Some(leg) = located.leg.filter(|_| corrected.wheel.odom == input.wheel.odom) {
+            self.watch.see_leg(&leg, &self.config.localization);
+        }
         if self.config.localization.estimate_camera_latency {
             self.poses.t_odom_base_at_frame =
                 self.camera_time.at_exposure(&self.poses.t_odom_base, &input.wheel.twist);
@@ -711,7 +739,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, dense, location, camera_time, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.

@@ -7,6 +7,7 @@ mod pattern;
 mod table;
 mod trial;
 mod truth;
+mod watch;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -32,16 +33,27 @@ struct Arguments {
     /// Time during which frames are taken, from the beginning of a drive, seconds; 0 for wheels and scanner alone.
     #[arg(long, default_value_t = 120.0)]
     frames: f64,
+    /// Instead: change the robots while they drive, and measure what a robot finds of that itself, with this many robots for each
+    /// change.
+    #[arg(long, value_name = "ROBOTS")]
+    watch: Option<u64>,
+    /// With --watch: only this change; `none` drives undisturbed robots for --seconds.
+    #[arg(long, value_name = "NAME", requires = "watch")]
+    only: Option<String>,
     /// File for every error and standard deviation, as JSON.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
 
 /// The homes in which the robots drive, one after the other.
-const HOMES: [&str; 3] = ["builtin:apartment", "builtin:house", "builtin:office"];
+pub(crate) const HOMES: [&str; 3] = ["builtin:apartment", "builtin:house", "builtin:office"];
 
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
+    if let Some(robots) = arguments.watch {
+        let seeds = arguments.first..arguments.first + robots;
+        return watch::measure(seeds, arguments.only.as_deref(), arguments.seconds);
+    }
     let length = Length { drive_s: arguments.seconds, frames_s: arguments.frames };
     let mut trials = table::Trials::default();
     for seed in arguments.first..arguments.first + arguments.robots {

@@ -30,14 +30,31 @@ pub struct Length {
 /// # Errors
 /// A scene that cannot be opened, or a drive that cannot be measured.
 pub fn run(world: &Arc<World>, config: &Config, seed: u64, length: Length) -> Result<Vec<Finding>> {
-    let robot = SimulatedRobot::new(world.clone(), simulated_robot(config, seed, None))?;
-    let mut devices = robot.devices();
     let camera = config.camera.model();
     let mounts = Mounts {
         t_base_laser: config.lidar.t_base_laser_3d(),
         t_base_camera: config.camera.t_base_camera(),
     };
     let mut reader = DriveReader::new(config, camera, mounts, length.frames_s > 0.0)?;
+    drive(world, config, seed, length, |input| reader.see(input).map(|()| true))?;
+    let (drive, camera) = reader.finish()?;
+    let measured = calibrate::measure(&drive, camera.as_ref())?;
+    Ok(measured.findings)
+}
+
+/// Drives robot number `seed` as `config` says, and hands over each tick, until `see` returns false.
+///
+/// # Errors
+/// A scene that cannot be opened, and errors of `see`.
+pub fn drive(
+    world: &Arc<World>,
+    config: &Config,
+    seed: u64,
+    length: Length,
+    mut see: impl FnMut(RecordedTick) -> Result<bool>,
+) -> Result<()> {
+    let robot = SimulatedRobot::new(world.clone(), simulated_robot(config, seed, None))?;
+    let mut devices = robot.devices();
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let mut pattern = Pattern::new();
     let mut scan = LaserScan::empty(devices.lidar.geometry());
@@ -64,13 +81,13 @@ pub fn run(world: &Arc<World>, config: &Config, seed: u64, length: Length) -> Re
             let rgb = frame.data.clone();
             input.frame = Some(RgbImage { width: frame.width, height: frame.height, rgb });
         }
-        reader.see(input)?;
+        if !see(input)? {
+            break;
+        }
         let old = history.len().saturating_sub(2 * STEPS as usize);
         history.drain(..old);
     }
-    let (drive, camera) = reader.finish()?;
-    let measured = calibrate::measure(&drive, camera.as_ref())?;
-    Ok(measured.findings)
+    Ok(())
 }
 
 /// The pose by the wheels at a time between two reports.

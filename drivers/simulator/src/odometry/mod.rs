@@ -178,6 +178,11 @@ impl Odometer {
         }
     }
 
+    /// The wheels change: from now on they really are like this.
+    pub(crate) fn set_wheels(&mut self, wheels: WheelErrors) {
+        self.noise.wheels = wheels;
+    }
+
     /// Adds a small true motion of the base, given in the base frame before the motion.
     pub fn advance(&mut self, t_before_after: &Pose2) {
         let length = t_before_after.x_m.hypot(t_before_after.y_m);

@@ -28,7 +28,9 @@ impl State {
         let odom_before = self.odometer.pose();
         self.odometer.advance(&self.pose.inverse().compose(&moved.pose));
         let measured = odom_before.inverse().compose(&self.odometer.pose());
+        let step_m = self.pose.distance_m(&moved.pose);
         self.pose = moved.pose;
+        self.change_after(step_m);
         self.trail.push(deadline_ns, moved.pose);
         self.fell = moved.fell;
         self.contact = moved.contact;

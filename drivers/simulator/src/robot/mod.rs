@@ -1,6 +1,7 @@
 //! A robot in a simulated home: implements the hal traits with rendered frames, ray-cast scans and
 //! simulated wheels, in virtual time.
 
+mod change;
 mod devices;
 mod drive;
 #[cfg(test)]
@@ -27,6 +28,7 @@ use crate::world::World;
 use trail::Trail;
 use unevenness::Unevenness;
 
+pub use change::Change;
 pub use devices::{DriveRefused, SimBase, SimCamera, SimClock, SimLidar, Truth};
 
 /// Random streams of a run. They are separate so that changing one option does not change the
@@ -78,6 +80,8 @@ pub struct RobotOptions {
     pub camera_late_s: f64,
     /// Time by which the time stamps of scans are late, seconds.
     pub lidar_late_s: f64,
+    /// How the robot is later, if that is another way.
+    pub change: Option<Change>,
     /// True focal length over that of `camera`.
     pub focal_scale: f64,
     /// Time from the first row of a frame to its last, seconds; 0 for a global shutter.
@@ -105,6 +109,7 @@ impl Default for RobotOptions {
             camera_latency_s: CAMERA_LATENCY_S,
             camera_late_s: 0.0,
             lidar_late_s: 0.0,
+            change: None,
             focal_scale: 1.0,
             rolling_shutter_s: 0.0,
             floor_tilt_rad: FLOOR_TILT_DEG.to_radians(),
@@ -192,6 +197,8 @@ pub(crate) struct State {
     /// Time from the middle of an exposure to the frame's time stamp.
     latency_s: f64,
     odometer: Odometer,
+    /// Distance that was driven, metres.
+    driven_m: f64,
     twist: Twist2,
     command: Twist2,
     commanded_ns: u64,
@@ -232,6 +239,7 @@ impl SimulatedRobot {
                 * stream_rng(LATENCY_STREAM, options.seed).random_range(0.5..1.5)
                 + options.camera_late_s,
             odometer: Odometer::new(options.odometry, options.seed ^ (WHEEL_STREAM << 16)),
+            driven_m: 0.0,
             twist: Twist2::ZERO,
             command: Twist2::ZERO,
             commanded_ns: 0,

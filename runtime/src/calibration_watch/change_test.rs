@@ -1,0 +1,341 @@
+//! Whether parameters have changed: a test over the last blocks of a drive against what was learnt before.
+//!
+//! A window-limited generalized likelihood ratio test (Lai 1995, "Sequential changepoint detection in quality control and dynamical
+//! systems"): for each block of the window it is asked how well a change at its beginning explains everything since. The beginning that
+//! explains most is where the change happened.
+//!
+//! What was learnt before is the beginning of the run. It is not updated later, so that a change that comes slowly is found as well as
+//! one that comes at once. An absolute error that was there from the beginning is never a change.
+
+use std::collections::VecDeque;
+
+use nalgebra::SVector;
+use serde::{Deserialize, Serialize};
+
+use super::sums::Sums;
+
+/// Number of blocks among which a change may have begun.
+const WINDOW: usize = 24;
+/// A change is only believed from this many blocks: one block may be a sill, a carpet's edge or a person.
+const LEAST_BLOCKS: usize = 3;
+/// With fewer blocks the beginning of the run is not known yet.
+const LEAST_REFERENCE: u32 = 8;
+/// The beginning of the run has this many blocks.
+const FULL_REFERENCE: u32 = 60;
+/// Equations that pull harder than this many standard deviations pull only so much: slip, people, wrong matches.
+const CLIP: f64 = 3.0;
+/// Equations are judged beside the estimate of this many blocks.
+const CENTER: usize = 4;
+/// The noise that is expected before it is measured has the weight of this many blocks.
+const NOISE_PRIOR: f64 = 4.0;
+/// Least noise, as a share of the stated one.
+const LEAST_NOISE: f64 = 0.05;
+/// Of what came between the beginning of the run and the window, this share remains with the next block.
+const MIDDLE_MEMORY: f64 = 0.95;
+/// A change of which this share was there before it seems to begin has come slowly.
+const SLOW_SHARE: f64 = 0.3;
+
+/// What is known of the parameters before a drive, and which changes matter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Limits<const N: usize> {
+    /// Standard deviations of the parameters and of their changes.
+    pub expected: [f64; N],
+    /// Noise of the equations, as a share of the stated one, before it is measured.
+    pub noise: [f64; N],
+    /// Smaller changes are not reported.
+    pub least: [f64; N],
+    /// A change is reported when it is larger than this many of its standard deviations.
+    pub sigmas: f64,
+}
+
+/// How a parameter has changed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Manner {
+    /// At once: something was hit, exchanged or came loose.
+    AtOnce,
+    /// Little by little: wear, air pressure, temperature.
+    Slowly,
+}
+
+/// Where a block of the drive began.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub(crate) struct Begin {
+    pub driven_m: f64,
+    pub time_ns: u64,
+}
+
+/// A change that the test has found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Found {
+    /// Which parameter.
+    pub index: usize,
+    pub by: f64,
+    pub sigma: f64,
+    pub begin: Begin,
+    pub manner: Manner,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Block<const N: usize> {
+    sums: Sums<N>,
+    begin: Begin,
+}
+
+/// The test of `N` parameters that share equations.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ChangeTest<const N: usize> {
+    /// The beginning of the run, or everything since the last change.
+    reference: Sums<N>,
+    reference_blocks: u32,
+    /// What came after the reference and before the window, fading.
+    middle: Sums<N>,
+    window: VecDeque<Block<N>>,
+    current: Sums<N>,
+    /// Equations are judged beside these values.
+    center: SVector<f64, N>,
+    /// Squares of the blocks' pulls, and what they would be with the stated noise.
+    squares: SVector<f64, N>,
+    stated: SVector<f64, N>,
+    noise_blocks: f64,
+}
+
+impl<const N: usize> Default for ChangeTest<N> {
+    fn default() -> Self {
+        Self {
+            reference: Sums::default(),
+            reference_blocks: 0,
+            middle: Sums::default(),
+            window: VecDeque::with_capacity(WINDOW + 1),
+            current: Sums::default(),
+            center: SVector::zeros(),
+            squares: SVector::zeros(),
+            stated: SVector::zeros(),
+            noise_blocks: 0.0,
+        }
+    }
+}
+
+impl<const N: usize> ChangeTest<N> {
+    /// Adds equations to the current block.
+    pub(crate) fn add(&mut self, equations: &Sums<N>, limits: &Limits<N>) {
+        let mut pull = equations.pull_from(&self.center);
+        for index in 0..N {
+            let most =
+                CLIP * self.noise(index, limits) * equations.information[(index, index)].sqrt();
+            pull[index] = pull[index].clamp(-most, most);
+        }
+        let clipped = pull + equations.information * self.center;
+        if clipped.iter().all(|value| value.is_finite()) {
+            self.current.add(&Sums { pull: clipped, ..*equations });
+        }
+    }
+
+    /// Ends the current block, which began at `begin`.
+    pub(crate) fn end_block(&mut self, begin: Begin, limits: &Limits<N>) {
+        let sums = std::mem::take(&mut self.current);
+        self.window.push_back(Block { sums, begin });
+        if self.window.len() > WINDOW
+            && let Some(old) = self.window.pop_front()
+        {
+            self.learn(&old.sums, limits);
+        }
+        let mut newest = Sums::default();
+        self.window.iter().rev().take(CENTER).for_each(|block| newest.add(&block.sums));
+        let reference = self.reference_estimate(limits);
+        let change = newest.beside(&reference).solve(&SVector::from(limits.expected));
+        self.center = reference + change.map_or_else(SVector::zeros, |(change, _)| change);
+    }
+
+    /// A block leaves the window.
+    fn learn(&mut self, old: &Sums<N>, limits: &Limits<N>) {
+        let mut around = self.middle;
+        around.add(old);
+        around.add(&self.reference);
+        let expected = SVector::from(limits.expected);
+        if let Some((estimate, _)) = around.solve(&expected) {
+            self.squares += old.pull_from(&estimate).map(|pull| pull * pull);
+            self.stated += old.information.diagonal();
+            self.noise_blocks += 1.0;
+        }
+        if self.reference_blocks < FULL_REFERENCE {
+            self.reference.add(old);
+            self.reference_blocks += 1;
+        } else {
+            self.middle = self.middle.scaled(MIDDLE_MEMORY);
+            self.middle.add(old);
+        }
+    }
+
+    /// Noise of the equations of a parameter, as a share of the stated one.
+    fn noise(&self, index: usize, limits: &Limits<N>) -> f64 {
+        let measured = self.squares[index] / self.stated[index].max(f64::MIN_POSITIVE);
+        let sum = NOISE_PRIOR * limits.noise[index].powi(2) + self.noise_blocks * measured;
+        (sum / (NOISE_PRIOR + self.noise_blocks)).sqrt().max(LEAST_NOISE)
+    }
+
+    fn reference_estimate(&self, limits: &Limits<N>) -> SVector<f64, N> {
+        let solved = self.reference.solve(&SVector::from(limits.expected));
+        solved.map_or_else(SVector::zeros, |(estimate, _)| estimate)
+    }
+
+    /// The value of a parameter now, over the window, and its standard deviation. It counts from the configured one.
+    pub(crate) fn estimate(&self, index: usize, limits: &Limits<N>) -> Option<(f64, f64)> {
+        let mut recent = self.current;
+        self.window.iter().for_each(|block| recent.add(&block.sums));
+        let expected = SVector::from(limits.expected);
+        let (parameters, covariance) = recent.solve(&expected)?;
+        Some((parameters[index], self.noise(index, limits) * covariance[(index, index)].sqrt()))
+    }
+
+    /// Noise of the equations as it was measured so far, as a share of the stated one.
+    #[cfg(test)]
+    pub(crate) fn noises(&self, limits: &Limits<N>) -> [f64; N] {
+        std::array::from_fn(|index| self.noise(index, limits))
+    }
+
+    /// The largest change, if there is one.
+    pub(crate) fn find(&self, limits: &Limits<N>) -> Option<Found> {
+        let found = self.largest(limits, |index, by, sigma| {
+            by.abs() >= limits.least[index] && by.abs() > limits.sigmas * sigma
+        })?;
+        let (begin, index, by, sigma) = found;
+        Some(Found { index, by, sigma, begin, manner: self.manner(index, by, begin, limits) })
+    }
+
+    /// How many standard deviations the largest change of a parameter has.
+    pub(crate) fn suspicion(&self, index: usize, limits: &Limits<N>) -> f64 {
+        let largest = self.largest(limits, |at, _, _| at == index);
+        largest.map_or(0.0, |(_, _, by, sigma)| by.abs() / sigma)
+    }
+
+    /// Among the changes that `counts` accepts (index, size, standard deviation), the one with the most standard deviations.
+    fn largest(
+        &self,
+        limits: &Limits<N>,
+        counts: impl Fn(usize, f64, f64) -> bool,
+    ) -> Option<(Begin, usize, f64, f64)> {
+        let expected = SVector::from(limits.expected);
+        let mut since = Sums::default();
+        let mut best = None;
+        let mut most = 0.0;
+        for (index, block) in self.window.iter().enumerate().rev() {
+            since.add(&block.sums);
+            if self.window.len() - index < LEAST_BLOCKS {
+                continue;
+            }
+            let (before, blocks) = self.before(index);
+            if blocks < LEAST_REFERENCE {
+                break;
+            }
+            let (reference, before) = before.solve(&expected)?;
+            let (change, after) = since.beside(&reference).solve(&expected)?;
+            for index in 0..N {
+                let variance = before[(index, index)] + after[(index, index)];
+                let sigma = self.noise(index, limits) * variance.sqrt();
+                let size = change[index].abs() / sigma;
+                if size > most && counts(index, change[index], sigma) {
+                    most = size;
+                    best = Some((block.begin, index, change[index], sigma));
+                }
+            }
+        }
+        best
+    }
+
+    /// What a change at block `index` of the window is compared with, and how many blocks that is. While the beginning of the run
+    /// is not over, the window's earlier blocks belong to it.
+    fn before(&self, index: usize) -> (Sums<N>, u32) {
+        let mut before = self.reference;
+        if self.reference_blocks >= FULL_REFERENCE {
+            return (before, self.reference_blocks);
+        }
+        self.window.iter().take(index).for_each(|block| before.add(&block.sums));
+        (before, self.reference_blocks + index as u32)
+    }
+
+    /// A change that came at once was not there between the beginning of the run and the beginning of the change.
+    fn manner(&self, index: usize, by: f64, begin: Begin, limits: &Limits<N>) -> Manner {
+        let reference = self.reference_estimate(limits);
+        let mut before = self.middle;
+        let earlier = self.window.iter().filter(|block| block.begin.time_ns < begin.time_ns);
+        earlier.for_each(|block| before.add(&block.sums));
+        let before = before.beside(&reference).solve(&SVector::from(limits.expected));
+        let before = before.map_or(0.0, |(change, _)| change[index]);
+        if before / by > SLOW_SHARE { Manner::Slowly } else { Manner::AtOnce }
+    }
+
+    /// What comes from now on is a new beginning. Blocks around a change are left out: some belong to before it, and what pulled
+    /// hard at first counted only so much.
+    pub(crate) fn restart(&mut self) {
+        self.window.clear();
+        self.reference = Sums::default();
+        self.reference_blocks = 0;
+        self.middle = Sums::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector1;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    const LIMITS: Limits<1> = Limits { expected: [5.0], noise: [1.0], least: [0.2], sigmas: 6.0 };
+
+    /// The changes that are found, with the block in which they are found. Each block has four equations of the parameter,
+    /// with a standard deviation of 1 that is stated as 2.
+    fn found(seed: u64, blocks: u64, truth: impl Fn(u64) -> f64) -> Vec<(u64, Found)> {
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let mut test = ChangeTest::default();
+        let mut all = Vec::new();
+        for block in 0..blocks {
+            for _ in 0..4 {
+                let noise = (0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0;
+                test.add(&Sums::of(Vector1::new(1.0), truth(block) + noise, 4.0), &LIMITS);
+            }
+            test.end_block(Begin { driven_m: block as f64, time_ns: block }, &LIMITS);
+            if let Some(found) = test.find(&LIMITS) {
+                all.push((block, found));
+                test.restart();
+            }
+        }
+        all
+    }
+
+    #[test]
+    fn a_step_is_found_once_with_its_size_and_its_beginning() {
+        for seed in 0..20 {
+            let all = found(seed, 200, |block| if block < 100 { 3.0 } else { 5.0 });
+            let [(at, step)] = all.as_slice() else { panic!("{seed}: {all:?}") };
+            assert!((102..112).contains(at), "{seed}: {at}");
+            assert!((step.by - 2.0).abs() < 0.7, "{seed}: {step:?}");
+            assert!((step.begin.driven_m - 100.0).abs() <= 3.0, "{seed}: {step:?}");
+            assert_eq!(step.manner, Manner::AtOnce, "{seed}");
+        }
+    }
+
+    #[test]
+    fn a_slow_drift_is_found_and_named_so() {
+        for seed in 0..20 {
+            let all = found(seed, 400, |block| 0.006 * block as f64);
+            let (_, first) = all.first().unwrap();
+            assert_eq!(first.manner, Manner::Slowly, "{seed}: {first:?}");
+        }
+    }
+
+    #[test]
+    fn an_error_from_the_beginning_on_is_no_change() {
+        let falsely: usize = (0..100).map(|seed| found(seed, 500, |_| 4.0).len()).sum();
+        assert_eq!(falsely, 0);
+    }
+
+    #[test]
+    fn one_wild_block_is_no_change() {
+        for seed in 0..20 {
+            let all = found(seed, 200, |block| if block == 100 { 40.0 } else { 0.0 });
+            assert_eq!(all, [], "{seed}");
+        }
+    }
+}

@@ -1,0 +1,262 @@
+//! The robot watches its own calibration while it drives.
+//!
+//! Localization and perception compare the sensors with each other anyway. What remains of these comparisons says how wheels, scanner
+//! and camera differ from their configuration. A robot whose configuration is a little wrong from the beginning is left to
+//! `firmware-host calibrate`; what is watched here is a *change* since the beginning of the run. It is reported once; parameters
+//! are never changed.
+//!
+//! | watched | beside | shown by |
+//! |---|---|---|
+//! | wheels: yaw per metre, yaw per yaw, distance | scans | driving, rotating, straight lines |
+//! | scanner: yaw, forward, left | wheels | straight lines, rotations |
+//! | camera: pitch, roll, yaw | scans | rotations, rotations, straight lines |
+//! | camera: latency | scans | rotations that start and stop |
+
+mod change_test;
+mod leg_equations;
+mod sums;
+#[cfg(test)]
+mod tests;
+
+use hal::Pose2;
+use serde::{Deserialize, Serialize};
+
+use crate::localization::{DrivenLeg, LocalizationConfig};
+use crate::snapshot::remembers;
+use change_test::{Begin, ChangeTest, Found, Limits};
+
+pub use change_test::Manner;
+pub(crate) use sums::Sums;
+
+/// A block of the drive ends after this way: metres and radians together.
+const BLOCK: f64 = 1.0;
+/// Steps between two ticks that are longer than this, metres or radians, are jumps of the odometry.
+const LARGEST_STEP: f64 = 0.5;
+
+/// What may have changed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Watched {
+    /// Yaw for each metre that the wheels do not report, rad/m: the radius of one wheel.
+    WheelHeading,
+    /// Yaw for each radian that the wheels do not report: the track.
+    WheelTrack,
+    /// Distance for each metre that the wheels do not report: the radius of both wheels.
+    WheelDistance,
+    /// Yaw of the scanner, rad, positive to the left.
+    LidarYaw,
+    /// Place of the scanner, metres forward.
+    LidarForward,
+    /// Place of the scanner, metres to the left.
+    LidarLeft,
+    /// Pitch of the camera, rad, positive down.
+    CameraPitch,
+    /// Yaw of the camera, rad, positive to the left.
+    CameraYaw,
+    /// Roll of the camera about its axis, rad, positive as `camera.roll_deg`.
+    CameraRoll,
+    /// Time from the exposure of a frame to its stamp, s.
+    CameraLatency,
+}
+
+impl Watched {
+    /// Every watched parameter.
+    pub const ALL: [Self; 10] = [
+        Self::WheelHeading,
+        Self::WheelTrack,
+        Self::WheelDistance,
+        Self::LidarYaw,
+        Self::LidarForward,
+        Self::LidarLeft,
+        Self::CameraPitch,
+        Self::CameraYaw,
+        Self::CameraRoll,
+        Self::CameraLatency,
+    ];
+}
+
+/// A parameter as the last metres show it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Measured {
+    /// The parameter.
+    pub what: Watched,
+    /// Its value less the configured one, in the unit of `what`.
+    pub value: f64,
+    /// Standard deviation of `value`.
+    pub sigma: f64,
+}
+
+/// A change of one parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Change {
+    /// The parameter.
+    pub what: Watched,
+    /// The value now less that at the beginning of the run, in the unit of `what`.
+    pub by: f64,
+    /// Standard deviation of `by`.
+    pub sigma: f64,
+    /// How far the robot had driven in this run when the change began, metres.
+    pub since_m: f64,
+    /// When that was, monotonic nanoseconds.
+    pub since_ns: u64,
+    /// Whether it came at once.
+    pub manner: Manner,
+}
+
+/// Wheels: rad/m, share, share. 5 % of error are known of real robots (localization); a change of 1 % of one wheel of the default
+/// robot is 0.042 rad/m.
+const WHEELS: Limits<3> = Limits {
+    expected: [0.05, 0.03, 0.02],
+    noise: [1.0; 3],
+    least: [0.01, 0.01, 0.004],
+    sigmas: 6.0,
+};
+/// Scanner: rad, m, m.
+const LIDAR: Limits<3> = Limits {
+    expected: [0.05, 0.03, 0.03],
+    noise: [1.0; 3],
+    least: [0.006, 0.01, 0.01],
+    sigmas: 6.0,
+};
+
+/// Camera: pitch, yaw, roll, rad.
+const CAMERA: Limits<3> = Limits {
+    expected: [0.05, 0.05, 0.05],
+    noise: [1.0; 3],
+    least: [0.007, 0.007, 0.007],
+    sigmas: 6.0,
+};
+/// Latency of the camera, s.
+const LATENCY: Limits<1> = Limits { expected: [0.03], noise: [1.0], least: [0.004], sigmas: 6.0 };
+
+const WHEEL_PARTS: [Watched; 3] =
+    [Watched::WheelHeading, Watched::WheelTrack, Watched::WheelDistance];
+const LIDAR_PARTS: [Watched; 3] = [Watched::LidarYaw, Watched::LidarForward, Watched::LidarLeft];
+const CAMERA_PARTS: [Watched; 3] = [Watched::CameraPitch, Watched::CameraYaw, Watched::CameraRoll];
+/// A scanner whose yaw is suspected of a change by this many standard deviations may be why the camera seems to have turned: the
+/// camera is compared with the pose by scans.
+const SUSPECTED: f64 = 3.0;
+
+/// Watches the calibration of one robot.
+#[derive(Debug, Default)]
+pub struct CalibrationWatch {
+    wheels: ChangeTest<3>,
+    lidar: ChangeTest<3>,
+    camera: ChangeTest<3>,
+    latency: ChangeTest<1>,
+    last_odom: Option<Pose2>,
+    driven_m: f64,
+    /// Way in the current block, metres and radians.
+    way: f64,
+    begin: Begin,
+    /// The last change of each parameter.
+    changes: [Option<Change>; Watched::ALL.len()],
+    /// Sums of the changes of the camera's pitch, yaw and roll, rad.
+    camera_turned: [f64; 3],
+}
+
+remembers!(CalibrationWatch: wheels, lidar, camera, latency, last_odom, driven_m, way, begin, changes, camera_turned);
+
+impl CalibrationWatch {
+    /// The last change of each parameter that has changed in this run.
+    pub fn changes(&self) -> impl Iterator<Item = &Change> {
+        self.changes.iter().flatten()
+    }
+
+    /// How far the camera was turned in this run, as far as it was noticed, rad.
+    pub fn camera_turned_rad(&self) -> f64 {
+        self.camera_turned.iter().map(|rad| rad * rad).sum::<f64>().sqrt()
+    }
+
+    /// Every parameter as the last metres show it: its value less the configured one.
+    pub fn measured(&self) -> impl Iterator<Item = Measured> {
+        Watched::ALL.into_iter().filter_map(|what| {
+            let index = what as usize;
+            let (value, sigma) = match index / 3 {
+                0 => self.wheels.estimate(index, &WHEELS)?,
+                1 => self.lidar.estimate(index - 3, &LIDAR)?,
+                2 => self.camera.estimate(index - 6, &CAMERA)?,
+                _ => self.latency.estimate(0, &LATENCY)?,
+            };
+            Some(Measured { what, value, sigma })
+        })
+    }
+
+    /// Takes the stretch of the drive that a scan ended.
+    pub(crate) fn see_leg(&mut self, leg: &DrivenLeg, config: &LocalizationConfig) {
+        self.wheels.add(&leg_equations::wheels(leg, config), &WHEELS);
+        self.lidar.add(&leg_equations::scanner(leg, config), &LIDAR);
+    }
+
+    /// Takes what a frame says of the camera's mount.
+    pub(crate) fn see_camera(&mut self, mount: &Sums<3>) {
+        self.camera.add(mount, &CAMERA);
+    }
+
+    /// Takes what a frame says of the camera's latency.
+    pub(crate) fn see_latency(&mut self, latency: &Sums<1>) {
+        self.latency.add(latency, &LATENCY);
+    }
+
+    /// The robot is at `odom` by its wheels. Returns a change when it is found.
+    pub(crate) fn advance(&mut self, odom: &Pose2, time_ns: u64) -> Option<Change> {
+        let step = self.last_odom.map_or(Pose2::IDENTITY, |last| last.inverse().compose(odom));
+        self.last_odom = Some(*odom);
+        let step_m = step.x_m.hypot(step.y_m);
+        if step_m > LARGEST_STEP || step.yaw_rad.abs() > LARGEST_STEP {
+            return None;
+        }
+        self.driven_m += step_m;
+        self.way += step_m + step.yaw_rad.abs();
+        if self.way < BLOCK {
+            return None;
+        }
+        self.way = 0.0;
+        let next = Begin { driven_m: self.driven_m, time_ns };
+        let begin = std::mem::replace(&mut self.begin, next);
+        let change = self.end_block(begin)?;
+        self.changes[change.what as usize] = Some(change);
+        Some(change)
+    }
+
+    fn end_block(&mut self, begin: Begin) -> Option<Change> {
+        self.wheels.end_block(begin, &WHEELS);
+        self.lidar.end_block(begin, &LIDAR);
+        self.camera.end_block(begin, &CAMERA);
+        self.latency.end_block(begin, &LATENCY);
+        if let Some(found) = self.lidar.find(&LIDAR) {
+            self.lidar.restart();
+            self.camera.restart();
+            return Some(change(&found, &LIDAR_PARTS));
+        }
+        if let Some(found) = self.wheels.find(&WHEELS) {
+            self.wheels.restart();
+            return Some(change(&found, &WHEEL_PARTS));
+        }
+        if self.lidar.suspicion(0, &LIDAR) < SUSPECTED
+            && let Some(found) = self.camera.find(&CAMERA)
+        {
+            self.camera.restart();
+            self.camera_turned[found.index] += found.by;
+            return Some(change(&found, &CAMERA_PARTS));
+        }
+        if let Some(found) = self.latency.find(&LATENCY) {
+            self.latency.restart();
+            return Some(change(&found, &[Watched::CameraLatency]));
+        }
+        None
+    }
+}
+
+fn change(found: &Found, parts: &[Watched]) -> Change {
+    let Found { index, by, sigma, begin, manner } = *found;
+    Change {
+        what: parts[index],
+        by,
+        sigma,
+        since_m: begin.driven_m,
+        since_ns: begin.time_ns,
+        manner,
+    }
+}

@@ -1,0 +1,60 @@
+//! A change of the calibration in words.
+
+use crate::calibration_watch::{Change, Manner, Watched};
+
+/// What has changed, by how much and since when. `health` and logs show it.
+#[must_use]
+pub fn changed(change: &Change) -> String {
+    let Change { what, by, sigma, since_m, manner, .. } = change;
+    let manner = match manner {
+        Manner::AtOnce => "at once",
+        Manner::Slowly => "little by little",
+    };
+    format!(
+        "calibration changed {manner} after {since_m:.0} m of this run: {} (+- {})",
+        by_how_much(*what, *by),
+        size(*what, *sigma)
+    )
+}
+
+/// The parameter and its change, with the direction in words.
+fn by_how_much(what: Watched, by: f64) -> String {
+    let size = size(what, by);
+    let way = |more: &'static str, less: &'static str| if by > 0.0 { more } else { less };
+    match what {
+        Watched::WheelHeading => {
+            let (larger, smaller) = (way("right", "left"), way("left", "right"));
+            format!("the {larger} wheel is larger or the {smaller} one smaller, {size} of yaw")
+        }
+        Watched::WheelTrack => {
+            format!("the track is {} by {size}", way("narrower", "wider"))
+        }
+        Watched::WheelDistance => {
+            format!("both wheels are {} by {size}", way("larger", "smaller"))
+        }
+        Watched::LidarYaw => {
+            format!("the LiDAR points {size} more to the {}", way("left", "right"))
+        }
+        Watched::LidarForward => format!("the LiDAR is {size} more {}", way("forward", "backward")),
+        Watched::LidarLeft => format!("the LiDAR is {size} more to the {}", way("left", "right")),
+        Watched::CameraPitch => format!("the camera points {size} more {}", way("down", "up")),
+        Watched::CameraYaw => {
+            format!("the camera points {size} more to the {}", way("left", "right"))
+        }
+        Watched::CameraRoll => {
+            format!("the {} side of the camera is {size} lower", way("right", "left"))
+        }
+        Watched::CameraLatency => format!("frames come {size} {}", way("later", "earlier")),
+    }
+}
+
+fn size(what: Watched, value: f64) -> String {
+    let value = value.abs();
+    match what {
+        Watched::WheelHeading => format!("{:.1} degrees/m", value.to_degrees()),
+        Watched::WheelTrack | Watched::WheelDistance => format!("{:.1} %", 100.0 * value),
+        Watched::LidarForward | Watched::LidarLeft => format!("{:.0} mm", 1000.0 * value),
+        Watched::CameraLatency => format!("{:.0} ms", 1000.0 * value),
+        _ => format!("{:.1} degrees", value.to_degrees()),
+    }
+}
