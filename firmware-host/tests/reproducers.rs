@@ -47,7 +47,7 @@ fn every_reproducer_decides_to_the_last_bit_as_the_robot_did() {
 fn a_robot_stops_for_an_obstacle_ahead_and_backs_off() {
     let said = replayed(&folder().join("stop_zone.mcap"));
     let expected = [
-        "stopped for an obstacle at (0.26, -0.01) m from the robot: a LiDAR return in the stop zone",
+        "stopped for an obstacle at (0.25, -0.01) m from the robot: a LiDAR return in the stop zone",
         "backed off 0.20 m: the whole distance",
     ];
     assert_eq!(said, expected);
