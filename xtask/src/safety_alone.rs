@@ -32,12 +32,16 @@ debug = false
 opt-level = 3
 "#;
 
-/// The crate's `lib.rs`. `event.rs` uses types of perception and localization, which are replaced here.
+/// The crate's `lib.rs`. `event.rs` uses types of other modules, which are replaced here.
 const LIBRARY: &str = "
 pub mod event;
 pub mod operator;
 pub mod safety;
 pub mod snapshot;
+pub mod calibration_watch {
+    #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+    pub enum Change {}
+}
 pub mod perception {
     #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
     pub enum NoDepth {}
