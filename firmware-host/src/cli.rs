@@ -86,6 +86,11 @@ pub enum Command {
     Check(CheckArgs),
     /// List, verify, recover, export, erase and serve recorded runs.
     Buffer(BufferArgs),
+    /// Print the line by which a workstation knows this robot: its public key and its name.
+    ///
+    /// The robot's key is made if it is missing. `embodied-depth prepare --robots FILE` and `buffer
+    /// verify --robots FILE` take a file of such lines.
+    Identity(IdentityArgs),
     /// Print a completion script: `source <(firmware-host completions bash)` completes in this shell.
     Completions {
         /// Shell that reads the script.
@@ -247,10 +252,13 @@ pub struct RunArgs {
     #[arg(long, value_name = "FILE")]
     pub config: PathBuf,
     /// Output folder for the recording and the summary. It is created if it is missing, and must not
-    /// contain another run [default: DATE-TIME in models.recordings of the configuration, else in
-    /// the current folder].
-    #[arg(long, value_name = "DIR")]
+    /// contain another run [default: a folder in --runs, named by date, time and run].
+    #[arg(long, value_name = "DIR", conflicts_with = "runs")]
     pub out: Option<PathBuf>,
+    /// Folder of all runs of this robot [default: models.recordings of the configuration, else the
+    /// current folder].
+    #[arg(long, value_name = "DIR")]
+    pub runs: Option<PathBuf>,
     /// How the robot chooses its goals.
     #[arg(long, value_enum, default_value_t = PolicyArg::Active)]
     pub policy: PolicyArg,
@@ -289,6 +297,14 @@ pub struct RunArgs {
     pub live: Option<PathBuf>,
     #[command(flatten)]
     pub faults: FaultArgs,
+}
+
+/// Arguments of `firmware-host identity`.
+#[derive(Debug, Args)]
+pub struct IdentityArgs {
+    /// Configuration file of the robot.
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
 }
 
 /// Arguments of `firmware-host health`.
@@ -570,10 +586,15 @@ pub enum BufferTask {
         #[arg(long)]
         json: bool,
     },
-    /// Check all checksums and report which segments are whole, cut or corrupt. Exits with 1 unless all are whole.
+    /// Check all checksums and signatures: which segments are whole, cut or corrupt, and who recorded them. Exits with 1 unless
+    /// all are whole.
     Verify {
         /// A directory of runs, the --out directory of one run, or one segment.
         path: PathBuf,
+        /// Known robots, one per line as `firmware-host identity` prints it. A segment that none of them has signed counts as
+        /// one that is not whole.
+        #[arg(long, value_name = "FILE")]
+        robots: Option<PathBuf>,
     },
     /// Write a repaired copy of every segment that is cut or corrupt, with all messages of its intact chunks.
     Recover {

@@ -23,6 +23,7 @@ pub mod failure;
 pub mod faults;
 pub mod frame_depth;
 pub mod health;
+pub mod identity;
 pub mod init;
 pub mod keep_out;
 pub mod live;

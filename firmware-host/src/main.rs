@@ -8,8 +8,8 @@ use clap::Parser;
 use firmware_host::cli::{Cli, Command as Subcommand, TaskArgs};
 use firmware_host::config::ConfigError;
 use firmware_host::{
-    buffer, calibrate, camera_latency, check, failure, health, init, localize, logging, manual,
-    map, model, output, perceive, replay_run, reproduce, run, task,
+    buffer, calibrate, camera_latency, check, failure, health, identity, init, localize, logging,
+    manual, map, model, output, perceive, replay_run, reproduce, run, task,
 };
 #[cfg(feature = "simulator")]
 use firmware_host::{explore, views};
@@ -34,6 +34,7 @@ fn main() -> ExitCode {
         Subcommand::Views(args) => views::run(&args).map(|()| ExitCode::SUCCESS),
         Subcommand::Run(args) => run::run(&args).map(|()| ExitCode::SUCCESS),
         Subcommand::Health(args) => health::run(&args),
+        Subcommand::Identity(args) => identity::run(&args).map(|()| ExitCode::SUCCESS),
         Subcommand::Init(args) => init::run(&args),
         Subcommand::Check(args) => check::run(&args),
         Subcommand::CameraLatency(args) => camera_latency::run(&args).map(|()| ExitCode::SUCCESS),

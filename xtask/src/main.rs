@@ -101,7 +101,7 @@ enum Chore {
         #[arg(long)]
         update: bool,
     },
-    /// Explore the built-in homes with every policy and print a table. Takes an hour on two cores.
+    /// Explore the built-in homes with every policy, with the errors of real odometry, and print tables. Takes an hour on two cores.
     Policies {
         /// Number of camera frames of each run.
         #[arg(long, default_value_t = 3000)]

@@ -9,25 +9,34 @@ use crate::{explore, paths};
 const HOMES: [&str; 3] = ["apartment", "house", "office"];
 const POLICIES: [&str; 6] =
     ["random", "heuristic", "forward", "inconsistency", "frontier", "active"];
-const COLUMNS: [&str; 8] = [
+const COLUMNS: [&str; 9] = [
     "home",
     "seed",
     "policy",
     "coverage",
+    "at its true place",
     "path (m)",
     "collisions",
     "trips",
     "stuck frames (longest)",
 ];
+const MEANS: [&str; 4] = ["policy", "coverage", "at its true place", "collisions"];
+/// Quantiles of Student's t at 97.5 % for 1 to 30 degrees of freedom (any table of the distribution).
+const T: [f64; 30] = [
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160,
+    2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056,
+    2.052, 2.048, 2.045, 2.042,
+];
 
 /// Explores each home with each policy and each seed. Runs that an earlier call has finished are not repeated. With `update`,
-/// the table goes into docs/data/policies.json and docs/policies.md.
+/// the tables go into docs/data/policies.json and docs/policies.md.
 pub fn run(frames: u64, seeds: u64, update: bool) -> Result<()> {
     explore::build()?;
     let mut table = Table::new(&COLUMNS);
+    let mut summaries: [Vec<Value>; POLICIES.len()] = Default::default();
     for home in HOMES {
         for seed in 1..=seeds {
-            for policy in POLICIES {
+            for (policy, of_policy) in POLICIES.into_iter().zip(&mut summaries) {
                 let out = paths::target().join(format!("policies/{frames}/{home}-{seed}-{policy}"));
                 let scene = format!("builtin:{home}?seed={seed}");
                 let arguments = ["--scene", &scene, "--policy", policy];
@@ -36,27 +45,76 @@ pub fn run(frames: u64, seeds: u64, update: bool) -> Result<()> {
                 let mut cells = vec![home.to_owned(), seed.to_string(), policy.to_owned()];
                 cells.extend(results(&summary));
                 table.push(cells);
+                of_policy.push(summary);
                 eprintln!("explored {home} {seed} with {policy}");
             }
         }
     }
-    print!("{}", table.markdown());
+    let means = means(&summaries);
+    print!("{}{}", table.markdown(), means.markdown());
     if update {
         let made_by = format!("cargo xtask policies --frames {frames} --seeds {seeds} --update");
         tables::update("policies", "policies", &made_by, &table)?;
+        tables::update("policies", "policy_means", &made_by, &means)?;
     }
     Ok(())
 }
 
+/// A row for each policy: means over its runs.
+fn means(summaries: &[Vec<Value>; POLICIES.len()]) -> Table {
+    let mut table = Table::new(&MEANS);
+    for (policy, summaries) in POLICIES.into_iter().zip(summaries) {
+        let all = |key: &str| -> Vec<f64> {
+            summaries.iter().map(|summary| summary[key].as_f64().unwrap_or(f64::NAN)).collect()
+        };
+        let percent = |key: &str| {
+            let (mean, half) = interval(&all(key));
+            format!("{:.0} % +- {:.0}", 100.0 * mean, 100.0 * half)
+        };
+        let collisions: f64 = all("collisions").iter().sum();
+        table.push(vec![
+            policy.to_owned(),
+            percent("coverage"),
+            percent("coverage_true"),
+            format!("{collisions:.0} in {} runs", summaries.len()),
+        ]);
+    }
+    table
+}
+
+/// The mean and half the width of its 95 % interval, by Student's t over the runs.
+fn interval(values: &[f64]) -> (f64, f64) {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let t = values.len().checked_sub(2).map(|index| *T.get(index).unwrap_or(&1.96));
+    (mean, t.map_or(f64::NAN, |t| t * (variance / count).sqrt()))
+}
+
 /// The cells of a run behind home, seed and policy.
-fn results(summary: &Value) -> [String; 5] {
+fn results(summary: &Value) -> [String; 6] {
     let coverage = summary["coverage"].as_f64().unwrap_or(f64::NAN);
+    let right = summary["coverage_true"].as_f64().unwrap_or(f64::NAN);
     let path_m = summary["path_m"].as_f64().unwrap_or(f64::NAN);
     [
         format!("{:.0} %", 100.0 * coverage),
+        format!("{:.0} %", 100.0 * right),
         format!("{path_m:.1}"),
         summary["collisions"].to_string(),
         summary["bumper_trips"].to_string(),
         format!("{} ({})", summary["stuck_frames"], summary["stuck_longest_frames"]),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_interval_is_that_of_students_t() {
+        // Mean 3, standard deviation 1.5811, five values: 3 +- 2.776 * 1.5811 / sqrt(5).
+        let (mean, half) = interval(&[1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert!((mean - 3.0).abs() < 1e-12 && (half - 1.963).abs() < 1e-3, "{mean} {half}");
+        assert!(interval(&[1.0]).1.is_nan());
+    }
 }

@@ -13,8 +13,8 @@
 //!
 //! Modules depend only on modules above them in this list:
 //!
-//! 1. `bytes`, `cpu_features`, `digest`, `fields`, `name`, `transfer`: types without knowledge of a store;
-//! 2. `records`, `chunk`, `index`, [`verify`](verify()): the MCAP format;
+//! 1. `bytes`, `cpu_features`, `digest`, `fields`, `hex`, `name`, `transfer`: types without knowledge of a store;
+//! 2. `records`, `chunk`, `index`, [`verify`](verify()), [`signature`], [`KnownRobots`]: the MCAP format, and who recorded a segment;
 //! 3. `entry`: what is known about one segment;
 //! 4. [`wire`]: the messages of the pull protocol;
 //! 5. `error`: [`StoreError`];
@@ -36,7 +36,9 @@ mod error;
 #[cfg(feature = "export")]
 pub mod export;
 mod fields;
+mod hex;
 mod index;
+mod known_robots;
 mod marks;
 mod name;
 pub mod private;
@@ -46,6 +48,7 @@ mod recover;
 mod root;
 mod send;
 mod serve;
+pub mod signature;
 pub mod source;
 mod transfer;
 mod verify;
@@ -57,6 +60,7 @@ pub use cpu_features::CpuFeatures;
 pub use digest::{Digest, Hasher};
 pub use entry::{Entry, Pulled, State, Times};
 pub use error::{ErrorKind, StoreError};
+pub use known_robots::{BadRobot, KnownRobots};
 pub use marks::{KEEP, PULLED, is_kept_for_event, keep_for_event};
 pub use name::{BadName, Name, is_segment_name};
 pub use recover::{Recovered, recover, recover_file};

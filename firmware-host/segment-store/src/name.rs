@@ -50,6 +50,12 @@ impl Name {
         self.text.rsplit_once('/').map_or(&self.text, |(_, file)| file)
     }
 
+    /// The number of the segment in its run: 7 for `recording_0007.mcap`.
+    #[must_use]
+    pub fn number(&self) -> Option<u32> {
+        self.file().strip_prefix("recording_")?.strip_suffix(".mcap")?.parse().ok()
+    }
+
     fn order(&self) -> (&str, usize, &str) {
         // Compared by length first, so that segment 10000 sorts after segment 9999.
         (self.run(), self.file().len(), &self.text)

@@ -2,6 +2,7 @@
 
 mod erase;
 mod list;
+mod verify;
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -11,7 +12,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use segment_store::{
-    Catalogue, CpuFeatures, Entry, Finding, Root, State, StoreError, export, recover_file, verify,
+    Catalogue, CpuFeatures, Entry, Finding, Root, State, StoreError, export, recover_file,
 };
 
 use crate::cli::{BufferArgs, BufferTask, ExportLayout};
@@ -23,7 +24,7 @@ use crate::cli::{BufferArgs, BufferTask, ExportLayout};
 pub fn run(args: &BufferArgs) -> Result<ExitCode> {
     match &args.task {
         BufferTask::List { dir, json } => list::run(dir, *json).map(|()| ExitCode::SUCCESS),
-        BufferTask::Verify { path } => verify_all(path),
+        BufferTask::Verify { path, robots } => verify::run(path, robots.as_deref()),
         BufferTask::Recover { path, out } => recover_all(path, out),
         BufferTask::Export { path, layout, out } => {
             export_run(path, *layout, out).map(|()| ExitCode::SUCCESS)
@@ -71,44 +72,6 @@ fn segments(path: &Path) -> Result<(Root, Vec<Entry>), StoreError> {
     Ok((root, entries))
 }
 
-/// Verifies all checksums. The exit code is 1 unless all segments are whole.
-fn verify_all(path: &Path) -> Result<ExitCode> {
-    let (root, entries) = segments(path)?;
-    let mut bad = 0;
-    for entry in &entries {
-        let file =
-            root.open_file(&entry.name).with_context(|| format!("cannot open {}", entry.name))?;
-        let verified = verify(&file).with_context(|| format!("cannot read {}", entry.name))?;
-        let found = match &verified.finding {
-            Finding::Whole => "whole".to_owned(),
-            Finding::Unindexed => "whole, without an index".to_owned(),
-            Finding::Cut { at } => {
-                let what = if entry.state == State::Open { "still being written" } else { "cut" };
-                format!("{what}: complete up to byte {at} of {}", entry.bytes)
-            }
-            Finding::Corrupt { at, detail } => format!("CORRUPT at byte {at}: {detail}"),
-        };
-        bad += u32::from(
-            !matches!(verified.finding, Finding::Whole | Finding::Unindexed)
-                && entry.state != State::Open,
-        );
-        println!(
-            "{}: {found}; {} ticks{}; blake3 {}",
-            entry.name,
-            verified.ticks,
-            until(verified.last_ns),
-            verified.digest
-        );
-    }
-    if bad > 0 {
-        println!(
-            "not whole: {bad} of {}; `buffer recover` keeps their intact chunks",
-            entries.len()
-        );
-    }
-    Ok(if bad == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-}
-
 /// The end of a line about a segment whose last message is at `last_ns`.
 fn until(last_ns: Option<u64>) -> String {
     last_ns.map_or_else(String::new, |ns| format!(", until {:.3} s", ns as f64 * 1e-9))
@@ -138,7 +101,7 @@ fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
 /// Whether the segment was damaged and has been recovered.
 fn recover_one(root: &Root, entry: &Entry, out: &Path) -> Result<bool> {
     let file = root.open_file(&entry.name).context("cannot open the segment")?;
-    if verify(&file).context("cannot read the segment")?.finding == Finding::Whole {
+    if segment_store::verify(&file).context("cannot read the segment")?.finding == Finding::Whole {
         return Ok(false);
     }
     if entry.state == State::Open {

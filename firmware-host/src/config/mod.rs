@@ -34,7 +34,8 @@ pub use error::{ConfigError, Problem};
 pub use live::LiveSection;
 pub use odometry::Odometry;
 pub use sections::{
-    BaseSection, CameraSection, LidarSection, ModelsSection, NetworkSection, RecordingSection,
+    BaseSection, CameraSection, IdentitySection, LidarSection, ModelsSection, NetworkSection,
+    RecordingSection,
 };
 #[cfg(feature = "simulator")]
 pub use simulated::{SimulatorSection, TruthSection};
@@ -59,6 +60,7 @@ hal::settings! {
         exploration: ExplorationConfig;
         network: NetworkSection;
         models: ModelsSection;
+        identity: IdentitySection;
         recording: RecordingSection;
         simulator: SimulatorSection;
         run: RunSection;

@@ -190,6 +190,19 @@ impl ModelsSection {
 }
 
 hal::settings! {
+    /// Who this robot is, for everybody who gets its recordings (docs/recording.md).
+    pub struct IdentitySection {
+        /// File of the robot's secret key, with which it signs what it records. It is made at the first start. If this is empty,
+        /// recordings are not signed.
+        key_file: String = String::new();
+        /// Name of the robot, without spaces. Recordings hold it.
+        name: String = String::new();
+        /// Home or site in which the robot works. Recordings hold it.
+        site: String = String::new();
+    }
+}
+
+hal::settings! {
     /// The MCAP recording of a run (docs/recording.md).
     pub struct RecordingSection {
         /// A new segment begins after this much recorded time.

@@ -1,6 +1,6 @@
 //! The disk that segments are written to, as a trait, so that tests can simulate a full or failing one.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
@@ -8,6 +8,7 @@ use std::rc::Rc;
 
 use runtime::recording::END_WITHOUT_SUMMARY;
 use segment_store::private;
+use sha2::{Digest, Sha256};
 
 /// Creates and removes segments.
 pub trait Disk: Send {
@@ -95,18 +96,49 @@ impl SegmentFile for File {
     }
 }
 
+/// What has been written to a segment so far. It is shared by the sink and the owner of the writer.
+#[derive(Default)]
+pub(super) struct Written {
+    bytes: Cell<u64>,
+    /// Of all bytes; `None` in a recording that is not signed.
+    sha256: Option<RefCell<Sha256>>,
+}
+
+impl Written {
+    pub(super) fn new(signed: bool) -> Rc<Self> {
+        Rc::new(Self { bytes: Cell::new(0), sha256: signed.then(RefCell::default) })
+    }
+
+    /// Size of the file.
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes.get()
+    }
+
+    /// SHA-256 of all bytes so far, 64 hexadecimal digits; `None` in a recording that is not signed.
+    pub(super) fn digest(&self) -> Option<String> {
+        let digest = self.sha256.as_ref()?.borrow().clone().finalize();
+        Some(digest.iter().map(|byte| format!("{byte:02x}")).collect())
+    }
+
+    fn add(&self, data: &[u8]) {
+        self.bytes.set(self.bytes.get() + data.len() as u64);
+        if let Some(sha256) = &self.sha256 {
+            sha256.borrow_mut().update(data);
+        }
+    }
+}
+
 /// The sink of the MCAP writer, which flushes it after every complete chunk.
 pub(super) struct Sink {
     file: BufWriter<Box<dyn SegmentFile>>,
-    written: Rc<Cell<u64>>,
+    written: Rc<Written>,
     /// Length up to the last flush: complete chunks only.
     good: u64,
     sync: bool,
 }
 
 impl Sink {
-    /// `written` is shared with the owner of the writer and holds the size of the file.
-    pub(super) fn new(file: Box<dyn SegmentFile>, written: Rc<Cell<u64>>, sync: bool) -> Self {
+    pub(super) fn new(file: Box<dyn SegmentFile>, written: Rc<Written>, sync: bool) -> Self {
         Self { file: BufWriter::new(file), written, good: 0, sync }
     }
 
@@ -127,7 +159,7 @@ impl Sink {
 impl Write for Sink {
     fn write(&mut self, data: &[u8]) -> io::Result<usize> {
         let written = self.file.write(data)?;
-        self.written.set(self.written.get() + written as u64);
+        self.written.add(data.get(..written).unwrap_or_default());
         Ok(written)
     }
 
@@ -136,7 +168,7 @@ impl Write for Sink {
         if self.sync {
             self.file.get_mut().sync()?;
         }
-        self.good = self.written.get();
+        self.good = self.written.bytes();
         Ok(())
     }
 }

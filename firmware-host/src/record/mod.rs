@@ -27,6 +27,7 @@ mod free_space;
 mod kept;
 mod recorder;
 mod segments;
+mod signer;
 
 #[cfg(test)]
 pub(crate) mod tests;

@@ -7,6 +7,7 @@ use std::thread::JoinHandle;
 
 use runtime::recording::{RecordedTick, RunHeader, Views};
 use runtime::robot::Robot;
+use segment_store::signature::RobotKey;
 use segment_store::{is_segment_name, private};
 
 use super::disk::{Disk, FileSystem};
@@ -47,6 +48,8 @@ pub struct RecorderOptions {
     pub dated: bool,
     /// How much of the disk recordings may use; `None` for all of it.
     pub quota: Option<Quota>,
+    /// The key that signs each segment of a run with an identity; `None` for recordings that are not signed.
+    pub key: Option<RobotKey>,
 }
 
 impl RecorderOptions {
@@ -63,6 +66,7 @@ impl RecorderOptions {
             images: true,
             dated: false,
             quota: None,
+            key: None,
         }
     }
 

@@ -1,6 +1,5 @@
 //! Divides a run into segments.
 
-use std::cell::Cell;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -8,15 +7,17 @@ use std::time::SystemTime;
 
 use monotonic_clock::monotonic_ns;
 use runtime::recording::{
-    RecordedTick, RecordingWriter, RunDigest, RunHeader, SegmentHeader, Views,
+    RecordedTick, RecordingError, RecordingWriter, RunDigest, RunHeader, SegmentHeader, Views,
 };
+use segment_store::signature::SIGNATURE;
 
 use super::age::remove_expired;
-use super::disk::{Disk, SegmentFile, Sink};
+use super::disk::{Disk, SegmentFile, Sink, Written};
 use super::error::RecordError;
 use super::free_space::free_space;
 use super::kept::EventKeeper;
 use super::recorder::{RecorderOptions, RecordingSummary};
+use super::signer::Signer;
 
 /// `recording_0000.mcap` for segment 0. The names of up to 10,000 segments of a minute each, a week, sort in order.
 #[must_use]
@@ -40,6 +41,8 @@ pub(super) struct Segments {
     open: Option<Open>,
     /// `None` without a quota: nothing deletes the segments.
     keeper: Option<EventKeeper>,
+    /// `None` when the robot has no key.
+    signer: Option<Signer>,
     digest: RunDigest,
     summary: RecordingSummary,
 }
@@ -49,7 +52,7 @@ struct Open {
     writer: RecordingWriter<Sink>,
     path: PathBuf,
     start_ns: u64,
-    written: Rc<Cell<u64>>,
+    written: Rc<Written>,
 }
 
 impl Segments {
@@ -61,6 +64,8 @@ impl Segments {
     ) -> Self {
         let summary = RecordingSummary::default();
         let keeper = options.quota.as_ref().map(|_| EventKeeper::new(&options.dir));
+        let run_id = run.identity.as_ref().map(|identity| identity.run.as_str());
+        let signer = options.key.clone().zip(run_id).map(|(key, run)| Signer::new(key, run));
         Self {
             options,
             disk,
@@ -68,6 +73,7 @@ impl Segments {
             first_file: Some(first_file),
             open: None,
             keeper,
+            signer,
             digest: RunDigest::new(),
             summary,
         }
@@ -118,7 +124,7 @@ impl Segments {
 
     fn is_full(&self, open: &Open, time_ns: u64) -> bool {
         time_ns.saturating_sub(open.start_ns) >= self.options.segment_ns
-            || open.written.get() >= self.options.segment_bytes
+            || open.written.bytes() >= self.options.segment_bytes
     }
 
     fn start(&mut self, tick: u64, time_ns: u64) -> Result<Open, RecordError> {
@@ -133,7 +139,7 @@ impl Segments {
             Some(file) => file,
             None => self.create(&path)?,
         };
-        let written = Rc::new(Cell::new(0));
+        let written = Written::new(self.signer.is_some());
         let sink = Sink::new(file, Rc::clone(&written), self.options.sync);
         let zero_unix_ns = self.options.dated.then(zero_unix_ns).flatten();
         let header = SegmentHeader {
@@ -175,10 +181,16 @@ impl Segments {
     }
 
     fn close(&mut self) -> Result<(), RecordError> {
-        let Some(open) = self.open.take() else { return Ok(()) };
+        let Some(mut open) = self.open.take() else { return Ok(()) };
+        if let Some(signer) = &mut self.signer
+            && let Err(error) = sign(signer, &mut open)
+        {
+            salvage(open.writer.abandon(), &open.path);
+            return Err(RecordError::writing(open.path, error));
+        }
         match open.writer.finish() {
             Ok(_) => {
-                self.summary.bytes += open.written.get();
+                self.summary.bytes += open.written.bytes();
                 Ok(())
             }
             Err((sink, error)) => {
@@ -187,6 +199,13 @@ impl Segments {
             }
         }
     }
+}
+
+/// Signs everything that is in the segment.
+fn sign(signer: &mut Signer, open: &mut Open) -> Result<(), RecordingError> {
+    open.writer.flush()?;
+    let Some(digest) = open.written.digest() else { return Ok(()) };
+    open.writer.write_metadata(SIGNATURE, signer.sign(open.number, digest))
 }
 
 fn salvage(sink: Sink, path: &Path) {

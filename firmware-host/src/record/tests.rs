@@ -8,8 +8,10 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 
 use hal::CameraModel;
-use runtime::recording::{RecordedTick, RecordingReader, RgbImage, RunHeader, Views};
+use runtime::recording::{RecordedTick, RecordingReader, RgbImage, RunHeader, RunIdentity, Views};
 use runtime::tick::{Command, Decision};
+use segment_store::signature::{RobotKey, Signed, check_signature};
+use segment_store::{Finding, verify};
 
 use super::*;
 
@@ -97,6 +99,38 @@ fn a_run_is_split_by_time_and_nothing_is_lost() {
         RecorderOptions { segment_ns: 2_000_000_000, ..RecorderOptions::simulation(dir.path()) };
     let summary = record(options, 50);
     assert_eq!((summary.ticks, summary.segments, summary.dropped), (50, 3, 0));
+    assert_eq!(read_all(dir.path()), (0..50).map(some_tick).collect::<Vec<_>>());
+}
+
+#[test]
+fn each_segment_of_a_robot_with_a_key_is_signed_and_names_the_one_before_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let key = RobotKey::new(&[7; 32]);
+    let options = RecorderOptions {
+        segment_ns: 2_000_000_000,
+        key: Some(key.clone()),
+        ..RecorderOptions::robot(dir.path())
+    };
+    let identity = RunIdentity {
+        run: "0123456789abcdef0123456789abcdef".to_owned(),
+        robot: Some(key.public()),
+        name: String::new(),
+        site: String::new(),
+        boot: String::new(),
+    };
+    let header = RunHeader { identity: Some(identity.clone()), ..run_header() };
+    let mut recorder = Recorder::start(options, header).unwrap();
+    (0..50).for_each(|tick| recorder.record(some_tick(tick), Views::default()).unwrap());
+    assert_eq!(recorder.finish().unwrap().segments, 3);
+    let mut previous = String::new();
+    for segment in 0..3 {
+        let file = std::fs::File::open(dir.path().join(segment_name(segment))).unwrap();
+        assert_eq!(verify(&file).unwrap().finding, Finding::Whole);
+        let Signed::By(statement) = check_signature(&file).unwrap() else { panic!("{segment}") };
+        assert_eq!((statement.segment, &statement.run), (segment, &identity.run));
+        assert_eq!((statement.robot, statement.previous), (key.public(), previous));
+        previous = statement.digest;
+    }
     assert_eq!(read_all(dir.path()), (0..50).map(some_tick).collect::<Vec<_>>());
 }
 

@@ -34,14 +34,16 @@ use monotonic_clock::MonotonicClock;
 use monotonic_clock::monotonic_ns;
 use runtime::event::ExploreEnd;
 use runtime::latency::LatencyHistogram;
-use runtime::recording::RunHeader;
+use runtime::recording::{RunHeader, RunIdentity};
 use runtime::robot::{DepthSource, Robot};
+use segment_store::signature::RobotKey;
 
 use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::model::{Keeper, LiveModels};
 
 use crate::check::Speed;
+use crate::identity;
 use crate::keep_out;
 use crate::live::{self, Live};
 use crate::map::KeptMap;
@@ -91,7 +93,9 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let map =
         args.map.as_deref().map(|path| KeptMap::open(path, &mut robot, &config)).transpose()?;
     let poses = PoseSocket::open(&config.run.pose_socket)?;
-    let out = &args.out.clone().unwrap_or_else(|| named_by_time(&config));
+    let key = identity::robot_key(&config)?;
+    let identity = identity::of_run(&config, key.as_ref())?;
+    let out = &args.out.clone().unwrap_or_else(|| folder(args, &config, &identity));
     prepare_private_dir(out)?;
     let plan = args
         .faults
@@ -102,11 +106,11 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let model_store = start.is_some();
     let loaded_map = map.as_ref().and_then(KeptMap::loaded).map(ToOwned::to_owned);
     let header = setup::run_header(&config, &mission, model.as_deref(), &plan)?;
-    let header = RunHeader { model_store, loaded_map, ..header };
+    let header = RunHeader { model_store, loaded_map, identity: Some(identity), ..header };
     let start_ns = monotonic_ns();
     let faults = plan.clone().at(Arc::new(move || monotonic_ns().saturating_sub(start_ns)));
     let recorder =
-        if args.no_recording { None } else { Some(recorder(out, &config, header, &faults)?) };
+        if args.no_recording { None } else { Some(recorder(out, &config, header, key, &faults)?) };
     let camera = devices::open_camera(&config, &faults)?;
     let pace =
         Pace { period_ns: config.safety_period_ns(), priority: config.run.realtime_priority };
@@ -196,16 +200,24 @@ fn explore(
     }
 }
 
-/// A folder beside the runs by which models are judged. Its name is the universal time, in the format of the service's
-/// folders.
-fn named_by_time(config: &Config) -> PathBuf {
-    Path::new(&config.models.recordings)
-        .join(jiff::Timestamp::now().strftime("%Y-%m-%dT%H-%M-%S").to_string())
+/// A folder for this run, such as `2026-11-26T12-31-07-3fa9c2d1`: the universal time, and the beginning of the run's identity, so
+/// that the runs of two robots whose clocks say the same can be stored together.
+fn folder(args: &RunArgs, config: &Config, identity: &RunIdentity) -> PathBuf {
+    let runs = args.runs.clone().unwrap_or_else(|| PathBuf::from(&config.models.recordings));
+    let time = jiff::Timestamp::now().strftime("%Y-%m-%dT%H-%M-%S");
+    runs.join(format!("{time}-{}", identity.run.get(..8).unwrap_or_default()))
 }
 
-fn recorder(out: &Path, config: &Config, header: RunHeader, faults: &Faults) -> Result<Recorder> {
+fn recorder(
+    out: &Path,
+    config: &Config,
+    header: RunHeader,
+    key: Option<RobotKey>,
+    faults: &Faults,
+) -> Result<Recorder> {
     let options = RecorderOptions {
         quota: Some(quota(out, config)?),
+        key,
         ..RecorderOptions::robot(out).configured(&config.recording)
     };
     let disk = Box::new(FaultyDisk::new(FileSystem, faults));

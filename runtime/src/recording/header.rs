@@ -44,6 +44,9 @@ pub struct RunHeader {
     /// Seed of the injected faults.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub fault_seed: Option<u64>,
+    /// Which robot recorded which run; `None` in simulation, where the same run gives the same bytes.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub identity: Option<RunIdentity>,
     /// Whether images were recorded. A run without them cannot be recomputed.
     #[serde(skip_serializing_if = "Clone::clone", default = "yes")]
     pub images: bool,
@@ -81,6 +84,7 @@ impl RunHeader {
             loaded_map: None,
             faults: Vec::new(),
             fault_seed: None,
+            identity: None,
             images: true,
             camera,
             t_base_camera: Pose3::identity(),
@@ -88,6 +92,26 @@ impl RunHeader {
             config: serde_json::Value::Object(serde_json::Map::new()),
         }
     }
+}
+
+/// What tells the runs of all robots apart, whatever their folders are called and whatever their clocks say.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RunIdentity {
+    /// The run: 32 random hexadecimal digits.
+    pub run: String,
+    /// The robot's public key, 64 hexadecimal digits, with which its segments are signed; `None` if it has no key.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub robot: Option<String>,
+    /// Name of the robot; empty if it has none.
+    #[serde(skip_serializing_if = "String::is_empty", default)]
+    pub name: String,
+    /// The home or site in which the robot works; empty if it is not said.
+    #[serde(skip_serializing_if = "String::is_empty", default)]
+    pub site: String,
+    /// The computer's start in which the run was recorded (Linux's `boot_id`): times of the monotonic clock can be compared
+    /// between runs of one start. Empty if it is not known.
+    #[serde(skip_serializing_if = "String::is_empty", default)]
+    pub boot: String,
 }
 
 /// The ticks before which the robot gets a newly trained model.
@@ -182,6 +206,22 @@ mod tests {
         let old = serde_json::to_string(&run_header()).unwrap();
         assert!(!old.contains("fault"));
         assert_eq!(serde_json::from_str::<RunHeader>(&old).unwrap(), run_header());
+    }
+
+    #[test]
+    fn an_identity_is_in_the_header_and_a_header_from_before_there_were_any_is_read() {
+        let identity = RunIdentity {
+            run: "00".repeat(16),
+            robot: Some("ab".repeat(32)),
+            name: "kitchen".to_owned(),
+            site: String::new(),
+            boot: "b1".to_owned(),
+        };
+        let run = RunHeader { identity: Some(identity), ..run_header() };
+        let text = serde_json::to_string(&run).unwrap();
+        assert!(text.contains("kitchen") && !text.contains("site"));
+        assert_eq!(serde_json::from_str::<RunHeader>(&text).unwrap(), run);
+        assert!(!serde_json::to_string(&run_header()).unwrap().contains("identity"));
     }
 
     #[test]

@@ -29,7 +29,7 @@ pub use self::image::quantise_mm;
 pub use calibration_words::changed;
 pub use digest::{RunDigest, input_digest};
 pub use error::RecordingError;
-pub use header::{FORMAT_VERSION, HandOverSchedule, RunHeader, SegmentHeader};
+pub use header::{FORMAT_VERSION, HandOverSchedule, RunHeader, RunIdentity, SegmentHeader};
 pub use reader::RecordingReader;
 pub use sentences::{Severity, drop_reason, fault_reason, goal_reason, lost_reason, sentence};
 pub use tick::{RecordedTick, RgbImage};

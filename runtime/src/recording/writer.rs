@@ -145,6 +145,19 @@ impl<W: Write> RecordingWriter<W> {
         self.mcap.flush().map_err(RecordingError::writing)
     }
 
+    /// Closes the chunk and writes a metadata record behind it: texts by their names, such as a signature of everything before it.
+    ///
+    /// # Errors
+    /// When the sink fails.
+    pub fn write_metadata(
+        &mut self,
+        name: &str,
+        metadata: BTreeMap<String, String>,
+    ) -> Result<(), RecordingError> {
+        let metadata = mcap::records::Metadata { name: name.to_owned(), metadata };
+        self.mcap.write_metadata(&metadata).map_err(RecordingError::writing)
+    }
+
     /// Writes the index and the footer, and returns the sink.
     ///
     /// # Errors

@@ -1,0 +1,135 @@
+//! Signed segments: what a change of any byte does to the signature.
+#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
+
+mod common;
+
+use runtime::recording::{RecordingWriter, SegmentHeader, Views};
+use segment_store::signature::{RobotKey, SIGNATURE, Signed, Statement, check_signature};
+use segment_store::{Finding, verify};
+use sha2::{Digest, Sha256};
+
+use common::{run_header, some_tick};
+
+fn key() -> RobotKey {
+    RobotKey::new(&[7; 32])
+}
+
+/// A segment that `key` signs as number `number` of its run. The digest is that of the bytes so far, as the recorder computes
+/// it.
+fn signed_by(key: &RobotKey, number: u32) -> Vec<u8> {
+    let header = SegmentHeader::new(run_header(), number, 0, 0);
+    let mut unsigned = RecordingWriter::begin(Vec::new(), header.clone()).unwrap();
+    let mut writer = RecordingWriter::begin(Vec::new(), header).unwrap();
+    for tick in 0..25 {
+        unsigned.write(&some_tick(tick), &Views::default()).unwrap();
+        writer.write(&some_tick(tick), &Views::default()).unwrap();
+    }
+    unsigned.flush().unwrap();
+    writer.flush().unwrap();
+    let statement = Statement {
+        robot: key.public(),
+        run: "00112233445566778899aabbccddeeff".to_owned(),
+        segment: number,
+        previous: String::new(),
+        digest: hex(&Sha256::digest(unsigned.abandon())),
+    };
+    writer.write_metadata(SIGNATURE, key.sign(&statement)).unwrap();
+    writer.finish().map_err(|(_, error)| error).unwrap()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn check(bytes: &[u8]) -> Signed {
+    check_signature(bytes).unwrap()
+}
+
+/// Offset of the signature's record: its name follows opcode, length and the name's length.
+fn offset_of_signature(bytes: &[u8]) -> usize {
+    let name = bytes.windows(SIGNATURE.len()).position(|window| window == SIGNATURE.as_bytes());
+    name.unwrap() - 4 - 8 - 1
+}
+
+#[test]
+fn a_signed_segment_says_who_recorded_it_and_is_a_whole_segment() {
+    let bytes = signed_by(&key(), 3);
+    let Signed::By(statement) = check(&bytes) else { panic!("{:?}", check(&bytes)) };
+    assert_eq!((statement.robot, statement.segment), (key().public(), 3));
+    let verified = verify(&bytes[..]).unwrap();
+    assert_eq!((verified.finding, verified.ticks), (Finding::Whole, 25));
+}
+
+#[test]
+fn a_segment_without_a_signature_is_not_signed() {
+    assert_eq!(check(&common::segment(0, 0, 25)), Signed::No);
+    for length in [0, 5, 8, 20, 1000] {
+        assert_eq!(check(&signed_by(&key(), 0)[..length]), Signed::No, "{length}");
+    }
+}
+
+#[test]
+fn no_bit_of_the_data_can_be_changed() {
+    let bytes = signed_by(&key(), 0);
+    let end = offset_of_signature(&bytes);
+    for at in (0..end).step_by(97).chain(end - 20..end) {
+        let mut changed = bytes.clone();
+        changed[at] ^= 1;
+        assert!(!matches!(check(&changed), Signed::By(_)), "byte {at}");
+    }
+}
+
+#[test]
+fn no_bit_of_the_signature_can_be_changed() {
+    let bytes = signed_by(&key(), 0);
+    let start = offset_of_signature(&bytes);
+    let body = u64::from_le_bytes(bytes[start + 1..start + 9].try_into().unwrap()) as usize;
+    for at in start..start + 9 + body {
+        let mut changed = bytes.clone();
+        changed[at] ^= 1;
+        assert!(!matches!(check(&changed), Signed::By(_)), "byte {at}");
+    }
+}
+
+#[test]
+fn nothing_can_be_appended_behind_the_signature() {
+    let bytes = signed_by(&key(), 0);
+    let start = offset_of_signature(&bytes);
+    let body = u64::from_le_bytes(bytes[start + 1..start + 9].try_into().unwrap()) as usize;
+    let behind = start + 9 + body;
+    let data_end = behind + 9 + 4;
+    // Chunk, message, attachment, another metadata record; then a channel, which only the index may define.
+    for opcode in [6, 5, 9, 12, 4] {
+        let record = [&[opcode][..], &4_u64.to_le_bytes(), &[0; 4]].concat();
+        let appended = [&bytes[..behind], &record, &bytes[behind..]].concat();
+        assert_eq!(
+            check(&appended),
+            Signed::Wrong("there are data behind the signature"),
+            "{opcode}"
+        );
+        if opcode != 4 {
+            let in_index = [&bytes[..data_end], &record, &bytes[data_end..]].concat();
+            assert_eq!(
+                check(&in_index),
+                Signed::Wrong("there are data behind the signature"),
+                "{opcode}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_signature_of_another_segment_does_not_fit() {
+    let first = signed_by(&key(), 0);
+    let second = signed_by(&key(), 1);
+    let [from, to] = [&first, &second].map(|bytes| offset_of_signature(bytes));
+    let swapped = [&first[..from], &second[to..]].concat();
+    assert_eq!(check(&swapped), Signed::Wrong("the data were changed since they were signed"));
+}
+
+#[test]
+fn a_key_shows_its_secret_half_to_nobody_who_prints_it() {
+    let key = key();
+    assert!(!format!("{key:?}").contains(&key.secret()));
+    assert_eq!(RobotKey::parse(&key.secret()), Some(key));
+}
