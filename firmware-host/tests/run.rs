@@ -741,3 +741,40 @@ fn a_robot_that_was_started_by_nohup_goes_on_without_its_terminal() {
     runs_for(folder.path(), 3.0);
     ends(robot);
 }
+
+#[test]
+fn a_robot_signs_its_runs_and_a_workstation_accepts_those_of_the_robots_that_it_knows() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    without_devices(folder.path());
+    let key = path("state/identity.key");
+    let identity = format!("[identity]\nkey_file = \"{}\"\nname = \"kitchen\"\n", key.display());
+    let config = std::fs::read_to_string(path("robot.toml")).unwrap() + &identity;
+    std::fs::write(path("robot.toml"), config).unwrap();
+    let program = |args: &[&str]| {
+        let mut program = Command::cargo_bin("firmware-host").unwrap();
+        program.args(args);
+        program
+    };
+    for _ in 0..2 {
+        let mut run = program(&["run", "--config"]);
+        let robot = run.arg(path("robot.toml")).arg("--runs").arg(path("runs"));
+        let robot = robot.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        runs_for(folder.path(), 1.0);
+        ends(robot);
+        std::fs::remove_file(path("status.json")).unwrap();
+    }
+    let known = program(&["identity", "--config"]).arg(path("robot.toml")).output().unwrap();
+    std::fs::write(path("robots"), known.stdout).unwrap();
+    std::fs::write(path("others"), format!("{} hall\n", "cd".repeat(32))).unwrap();
+    let verify = |robots: &str| {
+        let mut verify = program(&["buffer", "verify"]);
+        verify.arg(path("runs")).arg("--robots").arg(path(robots));
+        let output = verify.output().unwrap();
+        (output.status.success(), String::from_utf8(output.stdout).unwrap())
+    };
+    let (accepted, said) = verify("robots");
+    assert!(accepted && said.matches("; signed by kitchen\n").count() == 2, "{said}");
+    let (accepted, said) = verify("others");
+    assert!(!accepted && said.contains("not recorded by a known robot: 2 of 2"), "{said}");
+}
