@@ -152,6 +152,7 @@ def _append(writer: FolderWriter, part: Frames) -> None:
 
 def _described(segment: Segment, part: Frames, recipe: Recipe) -> dict[str, Any]:
     header = segment.header
+    run = header["run"]
     assert segment.frames.lidar is not None
     assert segment.frames.held_out is not None
     return {
@@ -163,7 +164,9 @@ def _described(segment: Segment, part: Frames, recipe: Recipe) -> dict[str, Any]
         "damage": segment.damage,
         "recipe": recipe.digest,
         "recorded": {key: header.get(key) for key in KEPT_OF_SEGMENT}
-        | {key: header["run"].get(key) for key in KEPT_OF_RUN},
+        | {key: run.get(key) for key in KEPT_OF_RUN}
+        # A recording without an identity keeps the shard that earlier versions made of it.
+        | ({"identity": run["identity"]} if "identity" in run else {}),
         "events": segment.events,
         "first_time_ns": int(segment.frames.time_ns[0]),
         "held_out": int(np.count_nonzero(segment.frames.held_out)),
