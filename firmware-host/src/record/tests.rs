@@ -109,7 +109,7 @@ fn each_segment_of_a_robot_with_a_key_is_signed_and_names_the_one_before_it() {
     let options = RecorderOptions {
         segment_ns: 2_000_000_000,
         key: Some(key.clone()),
-        ..RecorderOptions::robot(dir.path())
+        ..RecorderOptions::simulation(dir.path())
     };
     let identity = RunIdentity {
         run: "0123456789abcdef0123456789abcdef".to_owned(),

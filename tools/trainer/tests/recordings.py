@@ -37,13 +37,15 @@ def schema() -> descriptor_pb2.FileDescriptorSet:
     return descriptor_pb2.FileDescriptorSet(file=[file])
 
 
-def header(frames: Frames, segment: int) -> dict[str, Any]:
+def header(frames: Frames, segment: int, identity: dict[str, str] | None = None) -> dict[str, Any]:
     keys = ("width", "height", "fx", "fy", "cx", "cy")
     camera: dict[str, Any] = {key: getattr(frames.camera, key) for key in keys}
     camera["distortion"] = {"model": "none"}
     mount = {"translation_m": [0.1, 0.0, 0.8], "rotation_xyzw": [-0.5, 0.5, -0.5, 0.5]}
     laser = {"translation_m": [0.0, 0.0, 0.4], "rotation_xyzw": [0.0, 0.0, 0.0, 1.0]}
-    run = {"camera": camera, "t_base_camera": mount, "t_base_laser": laser}
+    run: dict[str, Any] = {"camera": camera, "t_base_camera": mount, "t_base_laser": laser}
+    if identity is not None:
+        run["identity"] = identity
     return {"format_version": 2, "segment": segment, "run": run}
 
 
@@ -58,12 +60,13 @@ def write_segment(
     scan_odom: list[dict[str, Any]] | None = None,
     localized: list[dict[str, Any]] | None = None,
     t_map_odom: dict[str, Any] | None = None,
+    identity: dict[str, str] | None = None,
 ) -> None:
     """Writes one segment with the images of `frames`, one pose of the base for each, and optionally a scan before each
     image.
 
     `beams` overrides the number of beams in the ticks, `scan_odom` the base's poses at the scans' times, `localized`
-    the decisions' poses in `odom`.
+    the decisions' poses in `odom`. `identity` is what a real robot says of itself.
     """
     descriptors = schema()
     pool = descriptor_pool.DescriptorPool()
@@ -86,7 +89,7 @@ def write_segment(
     def add(channel: str, data: bytes, time_ns: int) -> None:
         writer.add_message(channels[channel], time_ns, data, time_ns)
 
-    add("header", json.dumps(header(frames, segment)).encode(), 0)
+    add("header", json.dumps(header(frames, segment, identity)).encode(), 0)
     for index, wheel in enumerate(wheels):
         time_ns = int(frames.time_ns[index])
         tick: dict[str, Any] = {"tick": index, "time_ns": time_ns, "wheel": wheel, "frame": True, "truth": truth}

@@ -15,13 +15,19 @@ from .fake_robot import wheels
 from .recordings import write_segment
 
 
-def record(run: Path, frames: Frames, segments: list[int], numbers: range | None = None) -> None:
+def record(
+    run: Path,
+    frames: Frames,
+    segments: list[int],
+    numbers: range | None = None,
+    identity: dict[str, str] | None = None,
+) -> None:
     """Writes a run, or the segments of it with these numbers; `segments` are their lengths in frames."""
     run.mkdir(parents=True, exist_ok=True)
     ends = np.cumsum([0, *segments]).tolist()
     for number in numbers if numbers is not None else range(len(segments)):
         part = frames.at(slice(ends[number], ends[number + 1]))
-        write_segment(run / f"recording_{number:04d}.mcap", part, wheels(part), number)
+        write_segment(run / f"recording_{number:04d}.mcap", part, wheels(part), number, identity=identity)
 
 
 def tools(robot: Path, workers: int = 1, labels: bool = True) -> Tools:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,12 +15,14 @@ from embodied_depth_trainer.commands import watch as watching
 from embodied_depth_trainer.commands.watch import STATE_FILE, Watch, WatchSettings, watch
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.export.provenance import Provenance
+from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.store.version import remembered
 from embodied_depth_trainer.training import checkpoint as checkpoints
 
 from ..fake_robot import walk, wheels
 from ..recordings import write_segment
+from ..signing import KITCHEN, ROBOTS, sign
 from ..stores import calls
 
 
@@ -115,6 +118,36 @@ def test_a_segment_without_an_index_counts_only_once_it_is_complete(settings: Wa
     assert watched.look() == 0
     file.write_bytes(complete)
     assert watched.look() == 12
+
+
+def test_a_watch_with_known_robots_counts_only_what_they_signed(
+    settings: WatchSettings, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for number in range(3):
+        pull(settings.pulled, "run", number)
+    folder = settings.pulled / "run"
+    digest = sign(folder / "recording_0000.mcap", KITCHEN)
+    sign(folder / "recording_0002.mcap", KITCHEN, "00" * 32)
+    watched = Watch(replace(settings, known_robots=ROBOTS))
+    assert watched.look() == 24
+    said = capfd.readouterr().err
+    assert f"{folder}/recording_0001.mcap: refused: unsigned" in said
+    assert f"warning: {folder}/recording_0002.mcap does not follow recording_0000.mcap" in said
+    assert watched.look() == 24
+    assert "refused" not in capfd.readouterr().err
+    sign(folder / "recording_0001.mcap", KITCHEN, digest)
+    assert watched.look() == 36
+
+
+def test_frames_that_are_refused_now_do_not_delay_a_round(
+    settings: WatchSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_atomically(json.dumps({"rounds": 1, "frames": 100}).encode(), settings.work / STATE_FILE)
+    looks = iter([0, 12])
+    monkeypatch.setattr(Watch, "look", lambda _: next(looks))
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    monkeypatch.setattr(watching, "_round", lambda *_: tmp_path / "model.onnx")
+    assert len(watch(replace(settings, rounds=2))) == 1
 
 
 def test_a_directory_that_does_not_exist_yet_holds_no_frames(settings: WatchSettings) -> None:

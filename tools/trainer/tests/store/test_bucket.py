@@ -20,6 +20,7 @@ from embodied_depth_trainer.store.store import Store
 
 from ..broken_link import Address, broken_link
 from ..rooms import room
+from ..signing import KITCHEN, THIEF, public, sign, sign_run
 from ..stores import calls, record, store_of, tools, without_coarse
 
 pytest.importorskip("obstore")
@@ -234,6 +235,37 @@ def test_a_damaged_object_is_named_by_its_url(
     assert f"{URL}/monday/recording_0000.mcap" in said.err
     assert str(tmp_path / "store/downloads") not in said.err
     assert "16 frames; 2 segments were new" in said.out
+
+
+def test_a_segment_that_somebody_else_put_into_the_bucket_trains_nothing(
+    walk: Frames,
+    tmp_path: Path,
+    server: Address,
+    downloads: list[str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    record(tmp_path / "runs/monday", walk, [24, 8, 8])
+    sign_run(tmp_path / "runs/monday", KITCHEN)
+    # Somebody replaces a segment by one that the robot did not write, and signs it with another key.
+    record(tmp_path / "runs/monday", room(8, seed=1), [8], range(1))
+    sign(tmp_path / "runs/monday/recording_0000.mcap", THIEF)
+    # Somebody adds a signed segment under another name.
+    copy = (tmp_path / "runs/monday/recording_0002.mcap").read_bytes()
+    (tmp_path / "runs/monday/recording_0003.mcap").write_bytes(copy)
+    upload(tmp_path / "runs", server)
+    robots = tmp_path / "robots.txt"
+    robots.write_text(f"{public(KITCHEN)} kitchen\n")
+    command = ["prepare", URL, "--out", str(tmp_path / "store"), "--coarse", "none", "--robots", str(robots)]
+    assert main(command) == 0
+    said = capsys.readouterr()
+    assert f"{URL}/monday/recording_0000.mcap: refused: signed by an unknown robot {public(THIEF)[:8]}" in said.err
+    assert f"{URL}/monday/recording_0003.mcap: refused: is segment 2 under another name" in said.err
+    assert "16 frames; 4 segments were new" in said.out
+    assert len(list((tmp_path / "store/shards").iterdir())) == 2
+    assert list((tmp_path / "store/downloads").iterdir()) == []
+    # What was refused is known and not downloaded again.
+    assert main(command) == 0
+    assert len(downloads) == 4
 
 
 def test_a_bucket_that_cannot_be_read_and_one_without_segments_are_named(tmp_path: Path, server: Address) -> None:

@@ -10,7 +10,7 @@ import pytest
 from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store import picture
-from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, Answer, query
+from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, Answer, _quoted, query, update
 from embodied_depth_trainer.store.prepare import Tools, prepare
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.store import Store
@@ -18,7 +18,7 @@ from embodied_depth_trainer.store.store import Store
 from ..rooms import room
 from ..stores import record, without_coarse
 
-pytest.importorskip("duckdb")
+duckdb = pytest.importorskip("duckdb")
 
 
 @pytest.fixture
@@ -41,6 +41,30 @@ def test_every_segment_is_a_row(store: Store) -> None:
     assert (digests, held_out >= 0) == (3, True)
 
 
+def test_a_row_says_which_robot_recorded_it_and_where(store: Store, tmp_path: Path) -> None:
+    identity = {"run": "5c" * 16, "boot": "3b3a", "robot": "ab" * 32, "name": "vacuum", "site": "kitchen"}
+    record(tmp_path / "runs/wednesday", room(10, seed=2), [6, 4], identity=identity)
+    # A robot without a key and a name.
+    record(tmp_path / "runs/thursday", room(10, seed=3), [10], identity={"run": "6d" * 16, "boot": "3b3b"})
+    prepare([tmp_path / "runs"], store, Tools(Recipe("none", labels=False)))
+    found = query(store, "SELECT DISTINCT robot, name, site, run FROM segments ORDER BY run").rows
+    assert found == [
+        ("ab" * 32, "vacuum", "kitchen", "5c" * 16),
+        (None, None, None, "6d" * 16),
+        (None, None, None, None),
+    ]
+    counted = query(store, "SELECT name, count(*) FROM segments GROUP BY name ORDER BY name").rows
+    assert counted == [("vacuum", 2), (None, 4)]
+
+
+def test_a_table_of_an_earlier_version_is_written_again(store: Store) -> None:
+    file = update(store)
+    with duckdb.connect() as database:
+        database.execute(f"CREATE TABLE old AS SELECT * EXCLUDE (robot) FROM read_parquet('{_quoted(file)}')")
+        database.execute(f"COPY old TO '{_quoted(file)}' (FORMAT parquet)")
+    assert query(store, "SELECT robot FROM segments").rows == [(None,)] * 3
+
+
 def test_the_table_follows_the_store(store: Store, tmp_path: Path) -> None:
     count = "SELECT count(*), sum(frames) FROM segments"
     assert query(store, count).rows == [(3, 70)]
@@ -54,7 +78,7 @@ def test_the_table_follows_the_store(store: Store, tmp_path: Path) -> None:
 
 
 def test_a_query_that_cannot_be_answered_names_the_columns(store: Store) -> None:
-    with pytest.raises(TrainerError, match=r"(?s)SELECT colour.*columns are folder, segment, began"):
+    with pytest.raises(TrainerError, match=r"(?s)SELECT colour.*columns are folder, segment, robot"):
         query(store, "SELECT colour FROM segments")
 
 

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from embodied_depth_trainer.networks.registry import DEPTH_NETWORKS
+from embodied_depth_trainer.store.known_robots import KnownRobots, read_robots
 
 POLICIES = ("random", "heuristic", "forward", "frontier", "inconsistency", "active")
 
@@ -92,6 +93,20 @@ def add_firmware_host(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--firmware-host", type=Path, metavar="FILE", help="the robot's program [search the PATH, then target/release]"
     )
+
+
+def add_robots(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--robots",
+        type=Path,
+        metavar="FILE",
+        help="train only on segments that one of these robots signed: a public key in each line [signatures are not "
+        "checked]",
+    )
+
+
+def known_robots(options: argparse.Namespace) -> KnownRobots | None:
+    return None if options.robots is None else read_robots(options.robots)
 
 
 def add_network(command: argparse.ArgumentParser) -> None:

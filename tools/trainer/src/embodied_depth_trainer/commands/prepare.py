@@ -7,7 +7,7 @@ import hashlib
 import sys
 from pathlib import Path
 
-from embodied_depth_trainer.commands.arguments import add_firmware_host, image_size
+from embodied_depth_trainer.commands.arguments import add_firmware_host, add_robots, image_size, known_robots
 from embodied_depth_trainer.data.past_frames import GAP, PastFrames
 from embodied_depth_trainer.data.teacher import MEAN, MULTIPLE, STD, Teacher, TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
@@ -54,6 +54,7 @@ def add_prepare(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--prune", action="store_true", help="afterwards, remove shards and labels that are not used any more"
     )
+    add_robots(command)
     add_firmware_host(command)
     _add_teacher(command)
 
@@ -103,7 +104,7 @@ def tools_of(options: argparse.Namespace) -> Tools:
     recipe = Recipe(
         coarse, engine_of(robot) if robot else None, past, options.size, has_labels, digest, teacher_options
     )
-    return Tools(recipe, robot, options.teacher, teacher_options, options.workers)
+    return Tools(recipe, robot, options.teacher, teacher_options, options.workers, known_robots(options))
 
 
 def _teacher_options(options: argparse.Namespace) -> TeacherOptions:
@@ -124,13 +125,26 @@ def run_prepare(options: argparse.Namespace) -> None:
     report = prepare(options.source, store, tools)
     for file, why in report.damaged.items():
         print(f"{file}: {why}", file=sys.stderr)
+    for file, why in report.refused.items():
+        print(f"{file}: refused: {why}", file=sys.stderr)
+    for line in report.breaks:
+        print(f"warning: {line}", file=sys.stderr)
     for name in report.replaced:
         print(f"{name} was replaced while it was read; prepare it again", file=sys.stderr)
     print(
         f"{options.out}: {store.frames} frames; {report.segments} segments were new, "
         f"{report.labelled} have new labels, {len(report.damaged)} of the new ones are damaged"
     )
+    if tools.known_robots is not None and report.signed_by:
+        counts = (f"{count} of {tools.known_robots.label(key)}" for key, count in report.signed_by.items())
+        print(f"signed: {', '.join(counts)}")
+    if store.refused:
+        print(f"refused segments in the store, which no known robot signed: {store.refused}")
     if options.prune:
         print(f"{prune(store)} unused shards, labels and pairs were removed")
+    if store.frames == 0 and options.robots is not None and store.refused:
+        raise TrainerError(
+            f"no segment is signed by a robot of {options.robots}; add the public keys of the robots that you trust"
+        )
     if store.frames == 0:
         raise TrainerError(f"no frame was found in {', '.join(map(str, options.source))}; record a run first")

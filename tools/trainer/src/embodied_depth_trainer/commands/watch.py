@@ -18,7 +18,14 @@ from pathlib import Path
 
 import torch
 
-from embodied_depth_trainer.commands.arguments import add_amp, add_device, add_firmware_host, add_init
+from embodied_depth_trainer.commands.arguments import (
+    add_amp,
+    add_device,
+    add_firmware_host,
+    add_init,
+    add_robots,
+    known_robots,
+)
 from embodied_depth_trainer.commands.make_default import SETTINGS
 from embodied_depth_trainer.data.pairs import PairRule
 from embodied_depth_trainer.errors import TrainerError
@@ -26,6 +33,7 @@ from embodied_depth_trainer.export.depth import export_checkpoint
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.processes import pick_device
 from embodied_depth_trainer.store.dataset import open_dataset, record_version
+from embodied_depth_trainer.store.known_robots import KnownRobots
 from embodied_depth_trainer.store.pair_index import find_pairs
 from embodied_depth_trainer.store.prepare import Tools, prepare
 from embodied_depth_trainer.store.recipe import Recipe, engine_of
@@ -70,6 +78,8 @@ class WatchSettings:
     init: str = SHIPPED_NAME
     """Weights that the first round goes on from, as `--init` names them."""
     device: str = "cpu"
+    known_robots: KnownRobots | None = None
+    """The robots whose segments are accepted; `None`: signatures are not checked."""
 
 
 class Watch:
@@ -77,7 +87,8 @@ class Watch:
 
     def __init__(self, settings: WatchSettings) -> None:
         self.settings = settings
-        self.tools = Tools(Recipe("robot", engine_of(settings.robot)), settings.robot)
+        recipe = Recipe("robot", engine_of(settings.robot))
+        self.tools = Tools(recipe, settings.robot, known_robots=settings.known_robots)
         self.store = Store.create(settings.work / "store", self.tools.recipe)
         # A shard's digests are compared once in the life of a watch.
         self.checked: set[str] = set()
@@ -88,6 +99,10 @@ class Watch:
             report = prepare([self.settings.pulled], self.store, self.tools, growing=True)
             for file, why in report.damaged.items():
                 _log(f"{file}: {why}")
+            for file, why in report.refused.items():
+                _log(f"{file}: refused: {why}")
+            for line in report.breaks:
+                _log(f"warning: {line}")
         return self.store.frames
 
 
@@ -98,6 +113,8 @@ def watch(settings: WatchSettings) -> list[Path]:
     done, used = _read_state(settings.work)
     while settings.rounds is None or done < settings.rounds:
         available = watched.look()
+        # Segments that are refused now may have been trained on before.
+        used = min(used, available)
         # Frames that arrive during the round count as new for the next one.
         if available - used < settings.frames:
             time.sleep(POLL_INTERVAL_S)
@@ -180,6 +197,7 @@ def add_watch(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--work", type=Path, required=True, help="directory of results and state; an interrupted watch in it continues"
     )
+    add_robots(command)
     add_firmware_host(command)
     defaults = WatchSettings(Path(), Path(), Path())
     command.add_argument(
@@ -216,5 +234,6 @@ def run_watch(options: argparse.Namespace) -> None:
             training=replace(ENDLESS, amp=options.amp),
             init=options.init or SHIPPED_NAME,
             device=pick_device(options.device),
+            known_robots=known_robots(options),
         )
     )

@@ -21,6 +21,10 @@ CATALOGUE_FILE = "catalogue.parquet"
 COLUMNS = {
     "folder": "VARCHAR",
     "segment": "VARCHAR",
+    "robot": "VARCHAR",
+    "name": "VARCHAR",
+    "site": "VARCHAR",
+    "run": "VARCHAR",
     "began": "TIMESTAMP",
     "scene": "VARCHAR",
     "policy": "VARCHAR",
@@ -57,10 +61,10 @@ def query(store: Store, sql: str) -> Answer:
 
 
 def update(store: Store) -> Path:
-    """Writes the table unless it is newer than all lists of segments; returns its file."""
+    """Writes the table unless it is newer than all lists of segments and has all columns; returns its file."""
     file = store.folder / CATALOGUE_FILE
     lists = [path.stat().st_mtime_ns for path in (store.folder / "runs").glob("*.json")]
-    if file.exists() and file.stat().st_mtime_ns > max(lists, default=0):
+    if file.exists() and file.stat().st_mtime_ns > max(lists, default=0) and _columns(file) == list(COLUMNS):
         return file
     rows = [_row(store, run, entry) for run in store.runs.values() for entry in run.shards]
     partial = file.with_suffix(".partial")
@@ -74,16 +78,26 @@ def update(store: Store) -> Path:
     return file
 
 
+def _columns(file: Path) -> list[str]:
+    """The columns of a table. One that an earlier version wrote has fewer."""
+    with _duckdb().connect() as database:
+        found = database.execute(f"DESCRIBE SELECT * FROM read_parquet('{_quoted(file)}')").fetchall()
+    return [row[0] for row in found]
+
+
 def _row(store: Store, run: Run, entry: Entry) -> list[Any]:
     """The values of all columns for one segment."""
     folder = ArrayFolder(store.shard(entry.shard or ""))
     meta = folder.meta
     recorded = meta["recorded"]
+    # Simulations and earlier recordings have no identity.
+    identity = recorded.get("identity") or {}
     zero_ns = recorded["zero_unix_ns"]
     began = None if zero_ns is None else datetime.fromtimestamp((zero_ns + meta["first_time_ns"]) / 1e9, UTC)
     values = {
         "folder": run.source,
         "segment": entry.file,
+        **{name: identity.get(name) for name in ("robot", "name", "site", "run")},
         "began": None if began is None else began.replace(tzinfo=None),
         "scene": recorded["scene"],
         "policy": recorded["policy"],

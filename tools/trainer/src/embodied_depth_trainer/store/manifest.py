@@ -35,6 +35,16 @@ class Entry:
     """Name of its labels."""
     etag: str | None = None
     """Tag of its object, if it is in an object store."""
+    signed_by: str | None = None
+    """Public key of the robot that signed it; `None` if its signature was not checked or is not valid."""
+    signed_digest: str | None = None
+    """The digest in its signature."""
+    previous: str | None = None
+    """The digest of the signed segment before it in its run, as its signature says."""
+    refused: str | None = None
+    """Why nothing is trained on it (`prepare --robots`). It may have a shard that was made before."""
+    refused_with: str | None = None
+    """The digest of the known robots when its signature was refused."""
 
 
 @dataclass
@@ -52,10 +62,14 @@ class Run:
         return f"{source.rpartition('/')[2]}-{hashlib.sha256(source.encode()).hexdigest()[:12]}"
 
     @property
+    def in_order(self) -> list[Entry]:
+        """The segments in their order: segment 10000 comes after segment 9999."""
+        return sorted(self.entries.values(), key=lambda entry: (len(entry.file), entry.file))
+
+    @property
     def shards(self) -> list[Entry]:
-        """The segments that have a shard, in their order: segment 10000 comes after segment 9999."""
-        found = sorted(self.entries.values(), key=lambda entry: (len(entry.file), entry.file))
-        return [entry for entry in found if entry.shard is not None]
+        """The segments that have a shard and are not refused, in their order."""
+        return [entry for entry in self.in_order if entry.shard is not None and entry.refused is None]
 
     def set_labels(self, entry: Entry, labels: str) -> None:
         self.entries[entry.file] = replace(entry, labels=labels)

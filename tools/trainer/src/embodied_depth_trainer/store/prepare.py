@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,8 @@ from mcap.reader import make_reader
 
 from embodied_depth_trainer.data.teacher import TeacherOptions
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
+from embodied_depth_trainer.store.chain import breaks
+from embodied_depth_trainer.store.known_robots import KnownRobots
 from embodied_depth_trainer.store.labels import LabelJob, halo, make_labels
 from embodied_depth_trainer.store.manifest import Entry, Run
 from embodied_depth_trainer.store.pool import Pool
@@ -19,6 +22,7 @@ from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.shards import ShardJob, make_shard
 from embodied_depth_trainer.store.sources import RecordedRun, RecordedSegment, RemoteSegment, find_runs
 from embodied_depth_trainer.store.store import Store
+from embodied_depth_trainer.store.trust import is_decided, review
 from embodied_depth_trainer.store.version import read_version
 
 
@@ -33,6 +37,8 @@ class Tools:
     teacher_options: TeacherOptions | None = None
     workers: int = 1
     """Number of processes."""
+    known_robots: KnownRobots | None = None
+    """The robots whose segments are accepted; `None`: signatures are not checked."""
 
 
 @dataclass
@@ -45,6 +51,12 @@ class Report:
     """Number of shards whose labels were computed."""
     damaged: dict[str, str] = field(default_factory=dict)
     """Segments that end early or cannot be read, and why."""
+    signed_by: Counter[str] = field(default_factory=Counter)
+    """Number of new segments that each known robot signed, by its public key."""
+    refused: dict[str, str] = field(default_factory=dict)
+    """Segments that no known robot signed, and why nothing is trained on them."""
+    breaks: list[str] = field(default_factory=list)
+    """Signed segments that do not follow the one before."""
     replaced: list[str] = field(default_factory=list)
     """Objects that were replaced after they had been listed, and are left for the next call."""
 
@@ -53,6 +65,8 @@ def prepare(sources: Sequence[Path | str], store: Store, tools: Tools, growing: 
     """Makes what is missing of all runs below the sources, which are directories or URLs. While runs are `growing`, the
     last segment of each is left for later until it is complete."""
     report = Report()
+    if tools.known_robots is not None:
+        report.refused.update(review(store, tools.known_robots))
     runs = [run for source in sources for run in find_runs(source)]
     with Pool(tools.workers) as pool:
         _shards(runs, store, tools, growing, pool, report)
@@ -85,24 +99,39 @@ def _shards(runs: Sequence[RecordedRun], store: Store, tools: Tools, growing: bo
     for recorded in runs:
         run = store.run_of(recorded.source)
         for segment in recorded.segments:
-            if not _is_prepared(segment, run, store) and not (growing and _is_open(segment, recorded)):
+            if not _is_prepared(segment, run, store, tools) and not (growing and _is_open(segment, recorded)):
                 jobs[recorded.source, segment] = ShardJob(
-                    segment, store.folder / "shards", store.downloads, tools.recipe, tools.robot
+                    segment, store.folder / "shards", store.downloads, tools.recipe, tools.robot, tools.known_robots
                 )
+    new: dict[str, set[str]] = defaultdict(set)
     for (source, segment), entry in pool.each(make_shard, jobs, "segment"):
         if entry is None:
             report.replaced.append(str(segment))
             continue
         store.run_of(source).entries[entry.file] = entry
         store.keep(source)
-        report.segments += 1
-        if entry.damage is not None:
-            report.damaged[str(segment)] = entry.damage
+        new[source].add(entry.file)
+        _add(entry, source, segment, report)
+    for source, files in new.items():
+        report.breaks += breaks(store.run_of(source), files)
 
 
-def _is_prepared(segment: RecordedSegment, run: Run, store: Store) -> bool:
+def _add(entry: Entry, source: str, segment: RecordedSegment, report: Report) -> None:
+    """Reports a new entry."""
+    report.segments += 1
+    # The review may have refused what was known of it.
+    report.refused.pop(f"{source}/{entry.file}", None)
+    if entry.refused is not None:
+        report.refused[f"{source}/{entry.file}"] = entry.refused
+    if entry.signed_by is not None:
+        report.signed_by[entry.signed_by] += 1
+    if entry.damage is not None:
+        report.damaged[str(segment)] = entry.damage
+
+
+def _is_prepared(segment: RecordedSegment, run: Run, store: Store, tools: Tools) -> bool:
     known = run.entries.get(segment.name)
-    if known is None or not segment.is_known(known):
+    if known is None or not segment.is_known(known) or not is_decided(known, tools.known_robots):
         return False
     return known.shard is None or store.shard(known.shard).is_dir()
 

@@ -25,10 +25,12 @@ from embodied_depth_trainer.data.recording import Segment, read_segment
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError, FolderWriter
 from embodied_depth_trainer.store.bucket import ReplacedError
+from embodied_depth_trainer.store.known_robots import KnownRobots
 from embodied_depth_trainer.store.manifest import Entry
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.sources import RecordedSegment
 from embodied_depth_trainer.store.store import shard_name
+from embodied_depth_trainer.store.trust import checked
 
 # Frames that are reduced and written at once.
 CHUNK = 32
@@ -50,11 +52,13 @@ class ShardJob:
     recipe: Recipe
     robot: Path | None
     """Path of firmware-host."""
+    known_robots: KnownRobots | None = None
+    """The robots whose segments are accepted; `None`: signatures are not checked."""
 
 
 def make_shard(job: ShardJob) -> Entry | None:
-    """Makes the shard unless it exists. A segment that cannot be read gives an entry without a shard; an object that
-    was replaced after it was listed gives none."""
+    """Makes the shard unless it exists. A segment that cannot be read, or that no known robot signed, gives an entry
+    without a shard; an object that was replaced after it was listed gives none."""
     try:
         with job.segment.on_disk(job.downloads) as file:
             return _shard_of(job, file)
@@ -67,8 +71,12 @@ def _shard_of(job: ShardJob, file: Path) -> Entry:
         entry = job.segment.entry()
         with file.open("rb") as stream:
             entry = replace(entry, digest=hashlib.file_digest(stream, "sha256").hexdigest())
+        if job.known_robots is not None:
+            entry = checked(entry, file, job.known_robots)
     except OSError as problem:
         raise TrainerError(f"cannot read {file}: {problem}; check the file and its permissions") from problem
+    if entry.refused is not None:
+        return entry
     name = shard_name(entry.digest, job.recipe.digest)
     meta = _existing(job.shards / name)
     if meta is None:
@@ -152,6 +160,7 @@ def _append(writer: FolderWriter, part: Frames) -> None:
 
 def _described(segment: Segment, part: Frames, recipe: Recipe) -> dict[str, Any]:
     header = segment.header
+    run = header["run"]
     assert segment.frames.lidar is not None
     assert segment.frames.held_out is not None
     return {
@@ -163,7 +172,9 @@ def _described(segment: Segment, part: Frames, recipe: Recipe) -> dict[str, Any]
         "damage": segment.damage,
         "recipe": recipe.digest,
         "recorded": {key: header.get(key) for key in KEPT_OF_SEGMENT}
-        | {key: header["run"].get(key) for key in KEPT_OF_RUN},
+        | {key: run.get(key) for key in KEPT_OF_RUN}
+        # A recording without an identity keeps the shard that earlier versions made of it.
+        | ({"identity": run["identity"]} if "identity" in run else {}),
         "events": segment.events,
         "first_time_ns": int(segment.frames.time_ns[0]),
         "held_out": int(np.count_nonzero(segment.frames.held_out)),

@@ -73,6 +73,11 @@ class Store:
         """Number of frames in all shards."""
         return sum(entry.frames for run in self.runs.values() for entry in run.shards)
 
+    @property
+    def refused(self) -> int:
+        """Number of segments that no known robot signed."""
+        return sum(entry.refused is not None for run in self.runs.values() for entry in run.entries.values())
+
     def shard(self, name: str) -> Path:
         return self.folder / "shards" / name
 
