@@ -262,3 +262,17 @@ def test_a_file_without_a_robot_and_one_that_does_not_exist_are_named(tmp_path: 
     file.write_text("# none\n")
     with pytest.raises(TrainerError, match=r"robots\.txt names no robot"):
         read_robots(file)
+
+
+def test_what_the_robots_program_signed_is_accepted_and_with_one_bit_changed_it_is_not(tmp_path: Path) -> None:
+    """`firmware-host run` recorded the segment, and `firmware-host identity` printed the robot."""
+    folder = Path(__file__).parent / "signed_by_a_robot"
+    segment = folder / "recording_0000.mcap"
+    robots = read_robots(folder / "robots")
+    assert check(segment, robots).segment == "0"
+    changed = bytearray(segment.read_bytes())
+    changed[len(changed) // 4] ^= 1
+    copy = tmp_path / segment.name
+    copy.write_bytes(changed)
+    with pytest.raises(UntrustedError):
+        check(copy, robots)
