@@ -20,18 +20,26 @@ use crate::wire::{
 const MAX_REMEMBERED: usize = 1024;
 
 /// Answers requests until the peer closes the stream or violates the protocol. No request can read files outside of `root`.
-/// `cpu` describes the processor that this runs on.
+/// `cpu` describes the processor that this runs on. `log` is called before a segment is sent.
 ///
 /// # Errors
 /// When a stream fails.
 pub fn serve(
     root: &Root,
     cpu: CpuFeatures,
+    log: &mut dyn FnMut(&Name),
     input: &mut dyn Read,
     output: &mut dyn Write,
 ) -> io::Result<()> {
-    let mut session =
-        Session { root, cpu, output, buffer: Vec::new(), sent: BTreeMap::new(), is_welcome: false };
+    let mut session = Session {
+        root,
+        cpu,
+        log,
+        output,
+        buffer: Vec::new(),
+        sent: BTreeMap::new(),
+        is_welcome: false,
+    };
     let mut body = Vec::new();
     loop {
         let request = match read_frame(input, &mut body, MAX_REQUEST)? {
@@ -55,6 +63,7 @@ pub fn serve(
 struct Session<'a> {
     root: &'a Root,
     cpu: CpuFeatures,
+    log: &'a mut dyn FnMut(&Name),
     output: &'a mut dyn Write,
     buffer: Vec<u8>,
     sent: BTreeMap<Name, Sent>,
@@ -115,6 +124,7 @@ impl Session<'_> {
                     .refuse(RefusalKind::NotThere, format!("{name} cannot be opened: {error}"));
             }
         };
+        (self.log)(name);
         match send(&mut file, local, self) {
             Ok(sent) => {
                 if self.sent.len() >= MAX_REMEMBERED {

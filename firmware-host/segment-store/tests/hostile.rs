@@ -42,8 +42,13 @@ fn requests(requests: &[Request]) -> Vec<u8> {
 /// The answer of a server to these bytes.
 fn served(root: &Root, bytes: &[u8]) -> Vec<u8> {
     let mut answer = Vec::new();
-    let _ =
-        segment_store::serve(root, CpuFeatures { aes: true }, &mut Cursor::new(bytes), &mut answer);
+    let _ = segment_store::serve(
+        root,
+        CpuFeatures { aes: true },
+        &mut |_| (),
+        &mut Cursor::new(bytes),
+        &mut answer,
+    );
     answer
 }
 

@@ -2,6 +2,7 @@
 
 mod erase;
 mod list;
+mod pull_log;
 mod verify;
 
 use std::fs::File;
@@ -12,10 +13,11 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use segment_store::{
-    Catalogue, CpuFeatures, Entry, Finding, Root, State, StoreError, export, recover_file,
+    Catalogue, CpuFeatures, Entry, Finding, Name, Root, State, StoreError, export, recover_file,
 };
 
 use crate::cli::{BufferArgs, BufferTask, ExportLayout};
+use pull_log::PullLog;
 
 /// Runs one of the subcommands.
 ///
@@ -209,7 +211,9 @@ fn serve(dir: &Path) -> Result<()> {
     let stdout =
         File::from(std::io::stdout().as_fd().try_clone_to_owned().context("stdout is closed")?);
     let mut output = BufWriter::with_capacity(64 << 10, stdout);
-    segment_store::serve(&root, CpuFeatures::detect(), &mut input, &mut output)
+    let log = PullLog::of(dir);
+    let mut log = |segment: &Name| log.sent(segment);
+    segment_store::serve(&root, CpuFeatures::detect(), &mut log, &mut input, &mut output)
         .context("the connection broke")?;
     output.flush().context("the connection broke")
 }

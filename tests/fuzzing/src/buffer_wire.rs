@@ -24,6 +24,7 @@ pub fn buffer_wire(bytes: &[u8]) {
         let _ = segment_store::serve(
             &root,
             CpuFeatures { aes: true },
+            &mut |_| (),
             &mut Cursor::new(bytes),
             &mut answer,
         );

@@ -136,7 +136,13 @@ pub fn serve_on(dir: &Path, mut stream: UnixStream) {
     let mut input = stream.try_clone().unwrap();
     // The error when the client closes the connection is expected.
     std::thread::spawn(move || {
-        drop(segment_store::serve(&root, CpuFeatures { aes: true }, &mut input, &mut stream));
+        drop(segment_store::serve(
+            &root,
+            CpuFeatures { aes: true },
+            &mut |_| (),
+            &mut input,
+            &mut stream,
+        ));
     });
 }
 
