@@ -88,7 +88,7 @@ pub enum Command {
     Buffer(BufferArgs),
     /// Print the line by which a workstation knows this robot: its public key and its name.
     ///
-    /// The robot's key is made if it is missing. `embodied-depth prepare --robots FILE` and `buffer
+    /// The robot makes its key at its first `run`. `embodied-depth prepare --robots FILE` and `buffer
     /// verify --robots FILE` take a file of such lines.
     Identity(IdentityArgs),
     /// Print a completion script: `source <(firmware-host completions bash)` completes in this shell.

@@ -15,18 +15,23 @@ use crate::config::Config;
 /// Linux's identity of this start of the computer.
 const BOOT_ID: &str = "/proc/sys/kernel/random/boot_id";
 
-/// `firmware-host identity`: prints the line by which a workstation knows this robot.
+/// `firmware-host identity`: prints the line by which a workstation knows this robot. It makes no key, because the account that
+/// calls it may be another one than the robot's, which could then not read it.
 ///
 /// # Errors
-/// When the configuration names no key, or the key cannot be read or made.
+/// When the configuration names no key, or the robot has not made it yet, or it cannot be read.
 pub fn run(args: &IdentityArgs) -> Result<()> {
     let config = Config::load(&args.config)?;
-    let Some(key) = robot_key(&config)? else {
+    let file = &config.identity.key_file;
+    if file.is_empty() {
         bail!(
             "{} names no key; set identity.key_file, such as \"/var/lib/embodied-depth/identity.key\"",
             args.config.display()
         );
-    };
+    }
+    let key = read(Path::new(file))?.with_context(|| {
+        format!("there is no identity.key_file {file} yet; the robot makes it at its first `run`")
+    })?;
     println!("{} {}", key.public(), config.identity.name);
     Ok(())
 }
@@ -36,21 +41,27 @@ pub fn run(args: &IdentityArgs) -> Result<()> {
 /// # Errors
 /// When the file cannot be read or made, or holds something else.
 pub fn robot_key(config: &Config) -> Result<Option<RobotKey>> {
-    let file = &config.identity.key_file;
-    if file.is_empty() {
+    let path = Path::new(&config.identity.key_file);
+    if path.as_os_str().is_empty() {
         return Ok(None);
     }
-    let path = Path::new(file);
-    let key = match std::fs::read_to_string(path) {
-        Ok(text) => parse(&text).with_context(|| format!("identity.key_file {file}"))?,
-        Err(error) if error.kind() == ErrorKind::NotFound => make(path)?,
-        Err(error) => {
-            return Err(error).with_context(|| {
-                format!("cannot read identity.key_file {file}; it belongs to the robot's account")
-            });
-        }
+    let key = match read(path)? {
+        Some(key) => key,
+        None => make(path)?,
     };
     Ok(Some(key))
+}
+
+/// The key in a file; `None` if the file is missing.
+fn read(path: &Path) -> Result<Option<RobotKey>> {
+    let shown = path.display();
+    match std::fs::read_to_string(path) {
+        Ok(text) => parse(&text).with_context(|| format!("identity.key_file {shown}")).map(Some),
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error).with_context(|| {
+            format!("cannot read identity.key_file {shown}; it belongs to the robot's account")
+        }),
+    }
 }
 
 fn parse(text: &str) -> Result<RobotKey> {
@@ -60,21 +71,22 @@ fn parse(text: &str) -> Result<RobotKey> {
     )
 }
 
-/// Makes a key for this account only. Two programs that do so at once do not end with two keys.
+/// Makes a key for this account only. The file appears with its contents or not at all, and is never replaced.
 fn make(path: &Path) -> Result<RobotKey> {
     let failed = || format!("cannot write identity.key_file {}", path.display());
     let key = RobotKey::new(&random()?);
-    if let Some(dir) = path.parent().filter(|dir| !dir.as_os_str().is_empty()) {
-        private::create_folder(dir).with_context(failed)?;
-    }
-    let mut file = match private::file_options().create_new(true).open(path) {
-        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
-            return parse(&std::fs::read_to_string(path).with_context(failed)?);
-        }
-        opened => opened.with_context(failed)?,
-    };
+    let folder = path.parent().filter(|dir| !dir.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    private::create_folder(folder).with_context(failed)?;
+    let partial = path.with_extension(format!("{}.partial", std::process::id()));
+    let mut file =
+        private::file_options().create(true).truncate(true).open(&partial).with_context(failed)?;
     file.write_all(format!("{}\n", key.secret()).as_bytes()).with_context(failed)?;
     file.sync_all().with_context(failed)?;
+    let linked = std::fs::hard_link(&partial, path);
+    std::fs::remove_file(&partial).with_context(failed)?;
+    linked.with_context(failed)?;
+    std::fs::File::open(folder).and_then(|folder| folder.sync_all()).with_context(failed)?;
     tracing::info!("made this robot's key, {}: its identity is {}", path.display(), key.public());
     Ok(key)
 }
@@ -125,8 +137,9 @@ mod tests {
         let first = robot_key(&config(&file)).unwrap().unwrap();
         assert_eq!(file.metadata().unwrap().permissions().mode() & 0o777, 0o600);
         assert_eq!(robot_key(&config(&file)).unwrap(), Some(first.clone()));
-        let other = robot_key(&config(&dir.path().join("other.key"))).unwrap().unwrap();
+        let other = robot_key(&config(&dir.path().join("state/other.key"))).unwrap().unwrap();
         assert_ne!(first.public(), other.public());
+        assert_eq!(dir.path().join("state").read_dir().unwrap().count(), 2);
     }
 
     #[test]
