@@ -762,7 +762,6 @@ fn a_robot_signs_its_runs_and_a_workstation_accepts_those_of_the_robots_that_it_
         let robot = robot.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
         runs_for(folder.path(), 1.0);
         ends(robot);
-        std::fs::remove_file(path("status.json")).unwrap();
     }
     let known = program(&["identity", "--config"]).arg(path("robot.toml")).output().unwrap();
     std::fs::write(path("robots"), known.stdout).unwrap();

@@ -14,7 +14,7 @@ pub struct BadRobot {
     shown: String,
 }
 
-/// Public keys of robots, and the names that somebody gave them.
+/// Public keys of robots, and the names that the file gives them.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct KnownRobots {
     names: BTreeMap<String, String>,

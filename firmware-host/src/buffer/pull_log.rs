@@ -40,7 +40,7 @@ impl PullLog {
     pub(super) fn of(dir: &Path) -> Self {
         let variable = |name| std::env::var(name).ok().filter(|text| !text.is_empty());
         let account = || variable("USER").unwrap_or_else(|| "unknown".to_owned());
-        // "ADDRESS PORT PORT"; sudo removes it unless it is told to keep it.
+        // "ADDRESS PORT PORT"; sudo removes it unless its configuration keeps it.
         let client = variable("SSH_CLIENT").unwrap_or_default();
         Self {
             path: dir.join(FILE),
@@ -50,7 +50,7 @@ impl PullLog {
     }
 
     /// Writes down that `segment` is sent now. A disk that is full does not keep the pull from freeing it: the line is then
-    /// missing, and the workstation is told.
+    /// missing, and the workstation shows a warning.
     pub(super) fn sent(&self, segment: &Name) {
         if let Err(error) = self.write(segment) {
             eprintln!("warning: {} has no line for this pull: {error}", self.path.display());
