@@ -11,7 +11,7 @@ from embodied_depth_trainer.store.signature import check, unknown
 from embodied_depth_trainer.store.signature_record import UntrustedError
 from embodied_depth_trainer.store.store import Store
 
-NOT_CHECKED = "its shard was made without --robots, so nobody has checked its signature"
+NOT_CHECKED = "its shard was made without --robots, so its signature was never checked"
 
 
 def checked(entry: Entry, file: Path, robots: KnownRobots) -> Entry:
