@@ -14,12 +14,13 @@ use serde::{Deserialize, Serialize};
 
 use super::sums::Sums;
 
-/// Number of blocks among which a change may have begun.
-const WINDOW: usize = 24;
+/// Number of blocks among which a change may have begun: with the rotations of a drive through rooms they are more than 10 m, so that
+/// a change that is still to be noticed does not count as noise or as the beginning of the run.
+const WINDOW: usize = 40;
 /// A change is only believed from this many blocks: one block may be a sill, a carpet's edge or a person.
 const LEAST_BLOCKS: usize = 3;
 /// With fewer blocks the beginning of the run is not known yet.
-const LEAST_REFERENCE: u32 = 8;
+const LEAST_REFERENCE: u32 = 16;
 /// The beginning of the run has this many blocks.
 const FULL_REFERENCE: u32 = 60;
 /// Equations that pull harder than this many standard deviations pull only so much: slip, people, wrong matches.
@@ -28,6 +29,8 @@ const CLIP: f64 = 3.0;
 const CENTER: usize = 4;
 /// The noise that is expected before it is measured has the weight of this many blocks.
 const NOISE_PRIOR: f64 = 4.0;
+/// Measured in fewer blocks than this, the noise is at least the stated one: so a base that is worse than expected raises no alarm.
+const LEAST_NOISE_BLOCKS: f64 = 8.0;
 /// Least noise, as a share of the stated one.
 const LEAST_NOISE: f64 = 0.05;
 /// Of what came between the beginning of the run and the window, this share remains with the next block.
@@ -142,9 +145,12 @@ impl<const N: usize> ChangeTest<N> {
         }
         let mut newest = Sums::default();
         self.window.iter().rev().take(CENTER).for_each(|block| newest.add(&block.sums));
-        let reference = self.reference_estimate(limits);
-        let change = newest.beside(&reference).solve(&SVector::from(limits.expected));
-        self.center = reference + change.map_or_else(SVector::zeros, |(change, _)| change);
+        // Before the beginning of the run is known, the newest blocks are the best guess: after a restart the reference is empty,
+        // and beside zero the equations of a robot with unequal wheels would pull too hard.
+        let is_known = self.reference_blocks >= LEAST_REFERENCE;
+        let base = if is_known { self.reference_estimate(limits) } else { self.center };
+        let change = newest.beside(&base).solve(&SVector::from(limits.expected));
+        self.center = base + change.map_or_else(SVector::zeros, |(change, _)| change);
     }
 
     /// A block leaves the window.
@@ -156,7 +162,10 @@ impl<const N: usize> ChangeTest<N> {
         if let Some((estimate, _)) = around.solve(&expected) {
             self.squares += old.pull_from(&estimate).map(|pull| pull * pull);
             self.stated += old.information.diagonal();
-            self.noise_blocks += 1.0;
+            // A block without equations, as without a camera, says nothing of the noise.
+            if old.information.trace() > 0.0 {
+                self.noise_blocks += 1.0;
+            }
         }
         if self.reference_blocks < FULL_REFERENCE {
             self.reference.add(old);
@@ -169,6 +178,9 @@ impl<const N: usize> ChangeTest<N> {
 
     /// Noise of the equations of a parameter, as a share of the stated one.
     fn noise(&self, index: usize, limits: &Limits<N>) -> f64 {
+        if self.noise_blocks < LEAST_NOISE_BLOCKS {
+            return limits.noise[index].max(1.0);
+        }
         let measured = self.squares[index] / self.stated[index].max(f64::MIN_POSITIVE);
         let sum = NOISE_PRIOR * limits.noise[index].powi(2) + self.noise_blocks * measured;
         (sum / (NOISE_PRIOR + self.noise_blocks)).sqrt().max(LEAST_NOISE)
