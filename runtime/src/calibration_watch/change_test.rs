@@ -14,12 +14,13 @@ use serde::{Deserialize, Serialize};
 
 use super::sums::Sums;
 
-/// Number of blocks among which a change may have begun.
-const WINDOW: usize = 24;
+/// Number of blocks among which a change may have begun: with the rotations of a drive through rooms they are more than 10 m, so that
+/// a change that is still to be noticed does not count as noise or as the beginning of the run.
+const WINDOW: usize = 40;
 /// A change is only believed from this many blocks: one block may be a sill, a carpet's edge or a person.
 const LEAST_BLOCKS: usize = 3;
 /// With fewer blocks the beginning of the run is not known yet.
-const LEAST_REFERENCE: u32 = 8;
+const LEAST_REFERENCE: u32 = 16;
 /// The beginning of the run has this many blocks.
 const FULL_REFERENCE: u32 = 60;
 /// Equations that pull harder than this many standard deviations pull only so much: slip, people, wrong matches.
@@ -28,6 +29,8 @@ const CLIP: f64 = 3.0;
 const CENTER: usize = 4;
 /// The noise that is expected before it is measured has the weight of this many blocks.
 const NOISE_PRIOR: f64 = 4.0;
+/// Measured in fewer blocks than this, the noise is at least the stated one: so a base that is worse than expected raises no alarm.
+const LEAST_NOISE_BLOCKS: f64 = 16.0;
 /// Least noise, as a share of the stated one.
 const LEAST_NOISE: f64 = 0.05;
 /// Of what came between the beginning of the run and the window, this share remains with the next block.
@@ -121,8 +124,9 @@ impl<const N: usize> ChangeTest<N> {
     pub(crate) fn add(&mut self, equations: &Sums<N>, limits: &Limits<N>) {
         let mut pull = equations.pull_from(&self.center);
         for index in 0..N {
-            let most =
-                CLIP * self.noise(index, limits) * equations.information[(index, index)].sqrt();
+            let most = CLIP
+                * self.likely_noise(index, limits)
+                * equations.information[(index, index)].sqrt();
             pull[index] = pull[index].clamp(-most, most);
         }
         let clipped = pull + equations.information * self.center;
@@ -142,9 +146,12 @@ impl<const N: usize> ChangeTest<N> {
         }
         let mut newest = Sums::default();
         self.window.iter().rev().take(CENTER).for_each(|block| newest.add(&block.sums));
-        let reference = self.reference_estimate(limits);
-        let change = newest.beside(&reference).solve(&SVector::from(limits.expected));
-        self.center = reference + change.map_or_else(SVector::zeros, |(change, _)| change);
+        // Before the beginning of the run is known, the newest blocks are the best guess: after a restart the reference is empty,
+        // and beside zero the equations of a robot with unequal wheels would pull too hard.
+        let is_known = self.reference_blocks >= LEAST_REFERENCE;
+        let base = if is_known { self.reference_estimate(limits) } else { self.center };
+        let change = newest.beside(&base).solve(&SVector::from(limits.expected));
+        self.center = base + change.map_or_else(SVector::zeros, |(change, _)| change);
     }
 
     /// A block leaves the window.
@@ -156,7 +163,10 @@ impl<const N: usize> ChangeTest<N> {
         if let Some((estimate, _)) = around.solve(&expected) {
             self.squares += old.pull_from(&estimate).map(|pull| pull * pull);
             self.stated += old.information.diagonal();
-            self.noise_blocks += 1.0;
+            // A block without equations, as without a camera, says nothing of the noise.
+            if old.information.trace() > 0.0 {
+                self.noise_blocks += 1.0;
+            }
         }
         if self.reference_blocks < FULL_REFERENCE {
             self.reference.add(old);
@@ -167,8 +177,14 @@ impl<const N: usize> ChangeTest<N> {
         }
     }
 
-    /// Noise of the equations of a parameter, as a share of the stated one.
+    /// Noise of the equations of a parameter, as a share of the stated one. Until it is measured it is not said to be less.
     fn noise(&self, index: usize, limits: &Limits<N>) -> f64 {
+        let likely = self.likely_noise(index, limits);
+        if self.noise_blocks < LEAST_NOISE_BLOCKS { likely.max(1.0) } else { likely }
+    }
+
+    /// The same from what was expected and what was measured so far.
+    fn likely_noise(&self, index: usize, limits: &Limits<N>) -> f64 {
         let measured = self.squares[index] / self.stated[index].max(f64::MIN_POSITIVE);
         let sum = NOISE_PRIOR * limits.noise[index].powi(2) + self.noise_blocks * measured;
         (sum / (NOISE_PRIOR + self.noise_blocks)).sqrt().max(LEAST_NOISE)
@@ -192,6 +208,12 @@ impl<const N: usize> ChangeTest<N> {
     #[cfg(test)]
     pub(crate) fn noises(&self, limits: &Limits<N>) -> [f64; N] {
         std::array::from_fn(|index| self.noise(index, limits))
+    }
+
+    /// Number of blocks in which a change is looked for.
+    #[cfg(test)]
+    pub(crate) fn blocks(&self) -> usize {
+        self.window.len()
     }
 
     /// The largest change, if there is one.
@@ -287,16 +309,27 @@ mod tests {
     /// The changes that are found, with the block in which they are found. Each block has four equations of the parameter,
     /// with a standard deviation of 1 that is stated as 2.
     fn found(seed: u64, blocks: u64, truth: impl Fn(u64) -> f64) -> Vec<(u64, Found)> {
+        found_with(seed, blocks, 4.0, &LIMITS, truth)
+    }
+
+    /// The same with another stated variance and other limits.
+    fn found_with(
+        seed: u64,
+        blocks: u64,
+        stated: f64,
+        limits: &Limits<1>,
+        truth: impl Fn(u64) -> f64,
+    ) -> Vec<(u64, Found)> {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let mut test = ChangeTest::default();
         let mut all = Vec::new();
         for block in 0..blocks {
             for _ in 0..4 {
                 let noise = (0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0;
-                test.add(&Sums::of(Vector1::new(1.0), truth(block) + noise, 4.0), &LIMITS);
+                test.add(&Sums::of(Vector1::new(1.0), truth(block) + noise, stated), limits);
             }
-            test.end_block(Begin { driven_m: block as f64, time_ns: block }, &LIMITS);
-            if let Some(found) = test.find(&LIMITS) {
+            test.end_block(Begin { driven_m: block as f64, time_ns: block }, limits);
+            if let Some(found) = test.find(limits) {
                 all.push((block, found));
                 test.restart();
             }
@@ -336,6 +369,30 @@ mod tests {
         for seed in 0..20 {
             let all = found(seed, 200, |block| if block == 100 { 40.0 } else { 0.0 });
             assert_eq!(all, [], "{seed}");
+        }
+    }
+    #[test]
+    fn a_base_that_is_twice_as_noisy_as_expected_raises_no_alarm() {
+        let limits = Limits { noise: [0.5], ..LIMITS };
+        for seed in 0..100 {
+            assert_eq!(found_with(seed, 500, 1.0, &limits, |_| 3.0), [], "{seed}");
+        }
+    }
+
+    #[test]
+    fn blocks_without_equations_say_nothing_of_the_noise() {
+        let mut test = ChangeTest::default();
+        for block in 0..500 {
+            test.end_block(Begin { driven_m: block as f64, time_ns: block }, &LIMITS);
+        }
+        assert_eq!(test.noises(&LIMITS), LIMITS.noise);
+    }
+
+    #[test]
+    fn a_change_far_from_the_configured_value_is_no_second_change_after_it() {
+        for seed in 0..20 {
+            let all = found(seed, 400, |block| if block < 100 { 10.0 } else { 13.0 });
+            assert_eq!(all.len(), 1, "{seed}: {all:?}");
         }
     }
 }

@@ -28,8 +28,11 @@ use change_test::{Begin, ChangeTest, Found, Limits};
 pub use change_test::Manner;
 pub(crate) use sums::Sums;
 
-/// A block of the drive ends after this way: metres and radians together.
-const BLOCK: f64 = 1.0;
+/// A block of the drive ends after this way at the rim of a wheel, metres. It must not be used up by rotations, which say nothing of
+/// yaw per metre or of the scanner's yaw.
+const BLOCK_M: f64 = 0.5;
+/// What a wheel's rim rolls when the robot rotates by one radian, metres: half of the default robot's track.
+const RIM_M_PER_RAD: f64 = 0.12;
 /// Steps between two ticks that are longer than this, metres or radians, are jumps of the odometry.
 const LARGEST_STEP: f64 = 0.5;
 
@@ -105,17 +108,17 @@ pub struct Change {
 }
 
 /// Wheels: rad/m, share, share. 5 % of error are known of real robots (localization); a change of 1 % of one wheel of the default
-/// robot is 0.042 rad/m.
+/// robot is 0.042 rad/m. The stated noise of the wheels is twice that of a good base ([`LocalizationConfig`]).
 const WHEELS: Limits<3> = Limits {
     expected: [0.05, 0.03, 0.02],
-    noise: [1.0; 3],
+    noise: [0.5; 3],
     least: [0.01, 0.01, 0.004],
     sigmas: 6.0,
 };
 /// Scanner: rad, m, m.
 const LIDAR: Limits<3> = Limits {
     expected: [0.05, 0.03, 0.03],
-    noise: [1.0; 3],
+    noise: [0.5; 3],
     least: [0.006, 0.01, 0.01],
     sigmas: 6.0,
 };
@@ -147,8 +150,8 @@ pub struct CalibrationWatch {
     latency: ChangeTest<1>,
     last_odom: Option<Pose2>,
     driven_m: f64,
-    /// Way in the current block, metres and radians.
-    way: f64,
+    /// Way at the rim of a wheel in the current block, metres.
+    way_m: f64,
     begin: Begin,
     /// The last change of each parameter.
     changes: [Option<Change>; Watched::ALL.len()],
@@ -156,7 +159,7 @@ pub struct CalibrationWatch {
     camera_turned: [f64; 3],
 }
 
-remembers!(CalibrationWatch: wheels, lidar, camera, latency, last_odom, driven_m, way, begin, changes, camera_turned);
+remembers!(CalibrationWatch: wheels, lidar, camera, latency, last_odom, driven_m, way_m, begin, changes, camera_turned);
 
 impl CalibrationWatch {
     /// The last change of each parameter that has changed in this run.
@@ -208,11 +211,11 @@ impl CalibrationWatch {
             return None;
         }
         self.driven_m += step_m;
-        self.way += step_m + step.yaw_rad.abs();
-        if self.way < BLOCK {
+        self.way_m += step_m + RIM_M_PER_RAD * step.yaw_rad.abs();
+        if self.way_m < BLOCK_M {
             return None;
         }
-        self.way = 0.0;
+        self.way_m = 0.0;
         let next = Begin { driven_m: self.driven_m, time_ns };
         let begin = std::mem::replace(&mut self.begin, next);
         let change = self.end_block(begin)?;

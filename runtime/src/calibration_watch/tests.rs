@@ -98,6 +98,16 @@ fn a_wheel_that_has_changed_is_named() {
 }
 
 #[test]
+fn a_rotation_on_the_spot_takes_only_as_much_of_the_window_as_the_wheels_roll() {
+    let mut watch = CalibrationWatch::default();
+    for step in 0..400_u64 {
+        watch.advance(&Pose2::new(0.0, 0.0, hal::wrap_angle(0.1 * step as f64)), step);
+    }
+    // 40 rad of a robot whose wheels are 0.12 m from its middle, in blocks of half a metre.
+    assert_eq!(watch.wheels.blocks(), 9);
+}
+
+#[test]
 fn wheels_that_were_wrong_from_the_beginning_are_no_change() {
     for seed in 0..4 {
         assert_eq!(drive(seed, 3000, |_| {}), [], "seed {seed}");

@@ -21,7 +21,7 @@ use crate::trial::{Length, drive};
 const CHANGES_AFTER_M: f64 = 15.0;
 const NOTICES_WITHIN_M: f64 = 10.0;
 /// No drive of that distance takes longer, seconds.
-const LONGEST_S: f64 = 400.0;
+const LONGEST_S: f64 = 800.0;
 
 /// A way in which a robot changes.
 struct Disturbance {
@@ -83,9 +83,9 @@ struct Reports {
 /// A scene that cannot be opened.
 pub fn measure(seeds: Range<u64>, only: Option<&str>, seconds: f64) -> Result<()> {
     println!(
-        "| change | robots | detected within 10 m | named rightly | median way | other reports |"
+        "| change | robots | named within 10 m | named wrongly | way p50 | way p90 | other reports |"
     );
-    println!("|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|");
     for disturbance in &DISTURBANCES {
         if only.is_none_or(|only| disturbance.name.contains(only)) {
             row(disturbance, seeds.clone())?;
@@ -97,27 +97,55 @@ pub fn measure(seeds: Range<u64>, only: Option<&str>, seconds: f64) -> Result<()
     Ok(())
 }
 
+/// What the robots of one disturbance reported.
+#[derive(Default)]
+struct Row {
+    robots: usize,
+    /// After the change, the first report was this one, after these ways, metres; or another.
+    named_m: Vec<f64>,
+    wrong: usize,
+    /// Every other report, before and after.
+    other: usize,
+}
+
+impl Row {
+    fn add(&mut self, what: Watched, reports: &Reports) {
+        self.robots += 1;
+        self.other += reports.changes.len();
+        let first = reports.changes.iter().find(|(at_m, _)| *at_m > CHANGES_AFTER_M);
+        let Some((at_m, change)) = first else { return };
+        self.other -= 1;
+        if change.what == what {
+            self.named_m.push(at_m - CHANGES_AFTER_M);
+        } else {
+            self.wrong += 1;
+        }
+    }
+
+    fn print(&mut self, name: &str) {
+        self.named_m.sort_by(f64::total_cmp);
+        let [p50, p90] = [0.5, 0.9].map(|share| {
+            let last = self.named_m.len().saturating_sub(1) as f64;
+            let way_m = self.named_m.get((share * last).round() as usize);
+            way_m.map_or(String::new(), |way_m| format!("{way_m:.1} m"))
+        });
+        let Self { robots, named_m, wrong, other } = self;
+        let named = named_m.len();
+        println!("| {name} | {robots} | {named} | {wrong} | {p50} | {p90} | {other} |");
+    }
+}
+
 fn row(disturbance: &Disturbance, seeds: Range<u64>) -> Result<()> {
-    let robots = seeds.clone().count();
-    let (mut detected, mut named, mut other, mut ways_m) = (0, 0, 0, Vec::new());
+    let mut row = Row::default();
     for seed in seeds {
         let mut config = Config::default();
         (disturbance.apply)(&mut config.simulator.truth);
         config.simulator.truth.changes_after_m = CHANGES_AFTER_M;
         let most_m = CHANGES_AFTER_M + NOTICES_WITHIN_M;
         let reports = reports(&config, seed, disturbance.needs_frames, LONGEST_S, most_m)?;
-        let mut after = reports.changes.iter().filter(|(at_m, _)| *at_m > CHANGES_AFTER_M);
-        if let Some((at_m, change)) = after.next() {
-            detected += 1;
-            named += usize::from(change.what == disturbance.what);
-            ways_m.push(at_m - CHANGES_AFTER_M);
-        }
-        other += reports.changes.len().saturating_sub(1);
+        row.add(disturbance.what, &reports);
     }
-    ways_m.sort_by(f64::total_cmp);
-    let median =
-        ways_m.get(ways_m.len() / 2).map_or(String::new(), |way_m| format!("{way_m:.1} m"));
-    println!("| {} | {robots} | {detected} | {named} | {median} | {other} |", disturbance.name);
+    row.print(disturbance.name);
     Ok(())
 }
 
@@ -131,7 +159,10 @@ fn undisturbed(seeds: Range<u64>, seconds: f64) -> Result<()> {
             changes += reports.changes.len();
         }
         let sensors = if needs_frames { "everything" } else { "wheels and LiDAR" };
-        println!("| none ({sensors}) | {robots} | | | {driven_m:.0} m in all | {changes} |");
+        let minutes = robots as f64 * seconds / 60.0;
+        println!(
+            "| none ({sensors}, {minutes:.0} min, {driven_m:.0} m) | {robots} | | | | | {changes} |"
+        );
     }
     Ok(())
 }

@@ -4,6 +4,7 @@ use hal::{Base, Camera, Clock, DriveCommand, ErrorKind, Lidar, Range};
 use proptest::prelude::*;
 
 use super::*;
+use crate::odometry::WheelErrors;
 use crate::render::tests::{plain, room};
 use crate::scene::Scene;
 use crate::world::OpenOptions;
@@ -76,6 +77,34 @@ fn a_command_moves_the_robot_along_its_arc_and_odometry_measures_it() {
             && (feedback.twist.angular_radps - 0.5).abs() < 1e-9
     );
     assert!(devices.base.poll_feedback().unwrap().is_none());
+}
+
+#[test]
+fn a_robot_that_changes_after_half_a_metre_is_as_it_was_until_then() {
+    let same = exact(Pose2::new(1.0, 1.0, 0.0));
+    let change = Change {
+        after_m: 0.5,
+        t_base_camera: same.t_base_camera,
+        t_base_laser: same.t_base_laser,
+        wheels: WheelErrors { left: 0.05, ..WheelErrors::default() },
+        camera_late_s: 0.0,
+        lidar_late_s: 0.0,
+        focal_scale: 1.0,
+    };
+    let mut usual = robot(same.clone());
+    let mut changed = robot(RobotOptions { change: Some(change), ..same });
+    let ways = (0..20).map(|_| {
+        let usual = tick(&mut usual, 0.3, 0.0).odom;
+        (usual.x_m, changed_by(&usual, &tick(&mut changed, 0.3, 0.0).odom))
+    });
+    let (before, after): (Vec<_>, Vec<_>) = ways.partition(|(driven_m, _)| *driven_m < 0.49);
+    assert!(before.len() > 10 && before.iter().all(|(_, yaw_rad)| *yaw_rad == 0.0), "{before:?}");
+    assert!(after.last().is_some_and(|(_, yaw_rad)| *yaw_rad > 0.005), "{after:?}");
+}
+
+/// The yaw between two poses.
+fn changed_by(usual: &Pose2, changed: &Pose2) -> f64 {
+    changed.yaw_rad - usual.yaw_rad
 }
 
 #[test]
