@@ -14,6 +14,7 @@ fn main() {
         aes: !std::env::args().any(|argument| argument == "--without-aes"),
     };
     // An error means that the workstation was killed, which the tests do on purpose.
-    let _ = segment_store::serve(&root, cpu, &mut std::io::stdin().lock(), &mut output)
-        .and_then(|()| output.flush());
+    let _ =
+        segment_store::serve(&root, cpu, &mut |_| (), &mut std::io::stdin().lock(), &mut output)
+            .and_then(|()| output.flush());
 }
