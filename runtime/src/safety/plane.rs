@@ -59,6 +59,10 @@ const BESIDE_MPS: f64 = 0.1;
 /// stands: by then it has covered less than half of the paper's stop distance of 0.1 m.
 const BLIND_MPS: f64 = 0.15;
 const BLIND_NS: u64 = 300_000_000;
+/// A plan that leads ahead although the scanner does not see the path is answered again after this
+/// time with the place that is blocked: a planner that has only turned a little needs to know that
+/// this was not enough.
+const STILL_BLIND_NS: u64 = 1_000_000_000;
 /// A scanner that repeats a scan while the wheels move by either of these is frozen.
 const FROZEN_M: f64 = 0.05;
 const FROZEN_RAD: f64 = 0.1;
@@ -94,7 +98,8 @@ pub struct SafetyPlane {
     contacts: Vec<(u64, [f64; 2])>,
     /// End of the slow restart after a stop that ended without a person.
     creep_until_ns: u64,
-    /// Time since which the scanner has not seen the path ahead, and whether that was reported.
+    /// Time since which the scanner has not seen the path ahead, or of the last report of it, and whether
+    /// there was one.
     blind_since_ns: Option<u64>,
     view_lost: bool,
     /// Digest of the newest scan, and `t_odom_base` when it was first received.
@@ -497,8 +502,8 @@ impl SafetyPlane {
 
     /// Records whether the scanner sees the path of a forward twist. The robot stands if the
     /// scanner has not seen it for too long; rotations stay possible, so that the robot can face
-    /// another direction. The place ahead is reported as blocked, so that the planner takes another
-    /// path.
+    /// another direction. The place ahead is reported as blocked, again and again while plans lead
+    /// ahead, so that the planner takes another path.
     fn stand_if_blind(
         &mut self,
         time_ns: u64,
@@ -511,7 +516,8 @@ impl SafetyPlane {
             return None;
         }
         let since_ns = *self.blind_since_ns.get_or_insert(time_ns);
-        if time_ns.saturating_sub(since_ns) < BLIND_NS {
+        let passed_ns = time_ns.saturating_sub(since_ns);
+        if !self.view_lost && passed_ns < BLIND_NS {
             return None;
         }
         let collides = self.rotation_would_collide(desired.angular_radps);
@@ -519,12 +525,14 @@ impl SafetyPlane {
         let output = SafetyOutput::pass(if collides { Twist2::ZERO } else { rotation });
         self.state = SafetyState::Slow;
         let is_news = !std::mem::replace(&mut self.view_lost, true);
-        if !is_news {
+        if !is_news && passed_ns < STILL_BLIND_NS {
             return Some(output);
         }
+        self.blind_since_ns = Some(time_ns);
         let ahead_m = self.footprint.front_edge_m() + self.config.stop_distance_m;
         let blocked_m = Some(odom.transform(ahead_m, 0.0).into());
-        Some(SafetyOutput { blocked_m, ..output }.because(SafetyEvent::ViewLost))
+        let output = SafetyOutput { blocked_m, ..output };
+        Some(if is_news { output.because(SafetyEvent::ViewLost) } else { output })
     }
 
     /// The highest speed with regard to obstacles that pass within the lateral margin.

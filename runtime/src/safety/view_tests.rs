@@ -38,6 +38,29 @@ fn a_front_that_is_not_seen_slows_the_robot_at_once_and_stops_it_within_ten_cent
 }
 
 #[test]
+fn a_plan_that_leads_ahead_again_after_a_rotation_is_answered_again_with_the_place() {
+    let mut room = driving();
+    let mut reports = Vec::new();
+    let mut events = 0;
+    // Like the policy `forward`: it rotates for half a second after each report and then goes ahead. The scanner sees nothing
+    // in any direction.
+    for _ in 0..3 {
+        for _ in 0..400 {
+            let output = tick_with_front(&mut room, 90.0, Range::NoReturn);
+            events += usize::from(output.event == Some(SafetyEvent::ViewLost));
+            if let Some(place) = output.blocked_m {
+                reports.push(place);
+                break;
+            }
+        }
+        let rotation = Twist2 { linear_mps: 0.0, angular_radps: 0.35 };
+        (0..20).for_each(|_| _ = room.tick(rotation));
+    }
+    assert_eq!((reports.len(), events), (3, 1));
+    assert!(reports[0] != reports[1] && reports[1] != reports[2], "{reports:?}");
+}
+
+#[test]
 fn a_robot_that_stands_because_it_does_not_see_may_rotate() {
     let mut room = driving();
     (0..10).for_each(|_| _ = tick_with_front(&mut room, 60.0, Range::Error));
