@@ -4,6 +4,7 @@ use std::io::{ErrorKind, Write};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use data_encoding::HEXLOWER;
 use runtime::recording::RunIdentity;
 use rustix::rand::{GetRandomFlags, getrandom};
 use segment_store::private;
@@ -96,10 +97,9 @@ fn make(path: &Path) -> Result<RobotKey> {
 /// # Errors
 /// When the system has no random numbers.
 pub fn of_run(config: &Config, key: Option<&RobotKey>) -> Result<RunIdentity> {
-    let run = random::<16>()?;
     let boot = std::fs::read_to_string(BOOT_ID).unwrap_or_default();
     Ok(RunIdentity {
-        run: run.iter().map(|byte| format!("{byte:02x}")).collect(),
+        run: HEXLOWER.encode(&random::<16>()?),
         robot: key.map(RobotKey::public),
         name: config.identity.name.clone(),
         site: config.identity.site.clone(),

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use crate::hex::unhex;
+use crate::signature::is_key;
 
 /// A line that names no robot.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "line {line}: {shown:?} is no robot; a line is a public key of 64 hexadecimal digits (`firmware-host identity` prints it) and a name without spaces"
+    "line {line}: {shown:?} is no robot; a line is a public key of 64 lower-case hexadecimal digits (`firmware-host identity` prints it) and a name without spaces"
 )]
 pub struct BadRobot {
     line: usize,
@@ -21,18 +21,18 @@ pub struct KnownRobots {
 }
 
 impl KnownRobots {
-    /// Reads lines of a public key and an optional name. Empty lines and lines that begin with `#` say nothing.
+    /// Reads lines of a public key and an optional name. Empty lines and lines that begin with `#` are ignored.
     ///
     /// # Errors
     /// For the first line of another form.
     pub fn parse(text: &str) -> Result<Self, BadRobot> {
         let mut names = BTreeMap::new();
-        for (index, line) in text.lines().enumerate() {
-            if line.trim().is_empty() || line.starts_with('#') {
+        for (index, line) in text.lines().map(str::trim).enumerate() {
+            if line.is_empty() || line.starts_with('#') {
                 continue;
             }
             let mut words = line.split_whitespace();
-            let key = words.next().filter(|key| unhex::<32>(key).is_some());
+            let key = words.next().filter(|key| is_key(key));
             let name = words.next().unwrap_or_default();
             match (key, words.next()) {
                 (Some(key), None) => names.insert(key.to_owned(), name.to_owned()),
@@ -62,7 +62,7 @@ mod tests {
     fn robots_are_known_by_their_keys_with_or_without_a_name() {
         let kitchen = "ab".repeat(32);
         let nameless = "01".repeat(32);
-        let text = format!("# our robots\n\n{kitchen} kitchen\n{nameless}\n");
+        let text = format!("# our robots\n\n{kitchen} kitchen\n  {nameless}\n  # more\n");
         let robots = KnownRobots::parse(&text).unwrap();
         assert_eq!(robots.name_of(&kitchen), Some("kitchen"));
         assert_eq!(robots.name_of(&nameless), Some("01010101"));

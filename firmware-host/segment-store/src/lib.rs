@@ -13,8 +13,9 @@
 //!
 //! Modules depend only on modules above them in this list:
 //!
-//! 1. `bytes`, `cpu_features`, `digest`, `fields`, `hex`, `name`, `transfer`: types without knowledge of a store;
-//! 2. `records`, `chunk`, `index`, [`verify`](verify()), [`signature`], [`KnownRobots`]: the MCAP format, and who recorded a segment;
+//! 1. `bytes`, `cpu_features`, `digest`, `fields`, `name`, `transfer`: types without knowledge of a store;
+//! 2. `records`, `chunk`, `index`, [`verify`](verify()), [`signature`], `check_signature`, [`KnownRobots`]: the MCAP format, and who
+//!    recorded a segment;
 //! 3. `entry`: what is known about one segment;
 //! 4. [`wire`]: the messages of the pull protocol;
 //! 5. `error`: [`StoreError`];
@@ -28,6 +29,7 @@
 pub mod bucket;
 mod bytes;
 mod catalogue;
+mod check_signature;
 mod chunk;
 mod cpu_features;
 mod digest;
@@ -36,7 +38,6 @@ mod error;
 #[cfg(feature = "export")]
 pub mod export;
 mod fields;
-mod hex;
 mod index;
 mod known_robots;
 mod marks;
@@ -56,6 +57,7 @@ pub mod wire;
 
 pub use bytes::Bytes;
 pub use catalogue::{Catalogue, OPEN_FOR_NS};
+pub use check_signature::{Signed, check_signature};
 pub use cpu_features::CpuFeatures;
 pub use digest::{Digest, Hasher};
 pub use entry::{Entry, Pulled, State, Times};

@@ -53,7 +53,7 @@ impl Name {
     /// The number of the segment in its run: 7 for `recording_0007.mcap`.
     #[must_use]
     pub fn number(&self) -> Option<u32> {
-        self.file().strip_prefix("recording_")?.strip_suffix(".mcap")?.parse().ok()
+        digits(self.file())?.parse().ok()
     }
 
     fn order(&self) -> (&str, usize, &str) {
@@ -83,9 +83,13 @@ impl fmt::Display for Name {
 /// Whether a file name has the form `recording_NNNN.mcap`, with at least four digits.
 #[must_use]
 pub fn is_segment_name(name: &str) -> bool {
-    let digits = name.strip_prefix("recording_").and_then(|rest| rest.strip_suffix(".mcap"));
-    digits
+    digits(name)
         .is_some_and(|digits| digits.len() >= 4 && digits.bytes().all(|byte| byte.is_ascii_digit()))
+}
+
+/// What stands in the place of a segment's number.
+fn digits(name: &str) -> Option<&str> {
+    name.strip_prefix("recording_")?.strip_suffix(".mcap")
 }
 
 fn is_part(part: &str) -> bool {
@@ -109,6 +113,7 @@ mod tests {
         ] {
             let name = Name::parse(text).unwrap();
             assert_eq!((name.run(), name.file(), name.as_str()), (run, file, text));
+            assert!(matches!(name.number(), Some(0 | 12345)));
         }
     }
 

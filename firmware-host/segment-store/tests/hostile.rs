@@ -52,6 +52,32 @@ fn served(root: &Root, bytes: &[u8]) -> Vec<u8> {
     answer
 }
 
+#[test]
+fn each_segment_that_is_sent_is_named_first_and_no_other() {
+    let dir = tempdir().unwrap();
+    common::robot(dir.path());
+    let fetch =
+        |name: &str| Request::Fetch { name: Name::parse(name).unwrap(), local: LocalCopy::none() };
+    let asked = requests(&[
+        HELLO,
+        Request::List,
+        fetch("monday/recording_0001.mcap"),
+        fetch("monday/recording_0009.mcap"),
+        fetch("tuesday/recording_0000.mcap"),
+    ]);
+    let mut named = Vec::new();
+    let mut log = |name: &Name| named.push(name.to_string());
+    segment_store::serve(
+        &Root::open(dir.path()).unwrap(),
+        CpuFeatures { aes: true },
+        &mut log,
+        &mut Cursor::new(asked),
+        &mut Vec::new(),
+    )
+    .unwrap();
+    assert_eq!(named, ["monday/recording_0001.mcap", "tuesday/recording_0000.mcap"]);
+}
+
 fn refusal(mut answer: &[u8]) -> Option<Refusal> {
     let mut body = Vec::new();
     let mut last = None;

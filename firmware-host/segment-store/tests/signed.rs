@@ -3,9 +3,10 @@
 
 mod common;
 
+use data_encoding::HEXLOWER;
 use runtime::recording::{RecordingWriter, SegmentHeader, Views};
-use segment_store::signature::{RobotKey, SIGNATURE, Signed, Statement, check_signature};
-use segment_store::{Finding, verify};
+use segment_store::signature::{RobotKey, SIGNATURE, Statement};
+use segment_store::{Finding, Signed, check_signature, verify};
 use sha2::{Digest, Sha256};
 
 use common::{run_header, some_tick};
@@ -31,14 +32,10 @@ fn signed_by(key: &RobotKey, number: u32) -> Vec<u8> {
         run: "00112233445566778899aabbccddeeff".to_owned(),
         segment: number,
         previous: String::new(),
-        digest: hex(&Sha256::digest(unsigned.abandon())),
+        digest: HEXLOWER.encode(&Sha256::digest(unsigned.abandon())),
     };
     writer.write_metadata(SIGNATURE, key.sign(&statement)).unwrap();
     writer.finish().map_err(|(_, error)| error).unwrap()
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn check(bytes: &[u8]) -> Signed {
@@ -118,6 +115,61 @@ fn nothing_can_be_appended_behind_the_signature() {
     }
 }
 
+/// Offset behind the record at `start`.
+fn end_of(bytes: &[u8], start: usize) -> usize {
+    start + 9 + u64::from_le_bytes(bytes[start + 1..start + 9].try_into().unwrap()) as usize
+}
+
+#[test]
+fn fields_with_false_lengths_lead_no_reader_behind_the_signature() {
+    let bytes = signed_by(&key(), 0);
+    let data_end = end_of(&bytes, offset_of_signature(&bytes));
+    // Every record of the index, and the end of the data: a byte more at its end, or fewer.
+    let mut start = data_end;
+    let mut records = 0;
+    while start + 8 < bytes.len() {
+        let end = end_of(&bytes, start);
+        let body = (end - start - 9) as u64;
+        let longer = [
+            &bytes[..=start],
+            &(body + 1).to_le_bytes(),
+            &bytes[start + 9..end],
+            &[0],
+            &bytes[end..],
+        ]
+        .concat();
+        let shorter = [
+            &bytes[..=start],
+            &(body - 1).to_le_bytes(),
+            &bytes[start + 9..end - 1],
+            &bytes[end..],
+        ]
+        .concat();
+        for changed in [longer, shorter] {
+            assert_eq!(
+                check(&changed),
+                Signed::Wrong("there are data behind the signature"),
+                "{records}"
+            );
+        }
+        records += 1;
+        start = end;
+    }
+    assert!(records > 10, "{records}");
+}
+
+#[test]
+fn a_file_that_ends_in_its_index_is_cut_and_not_signed() {
+    let bytes = signed_by(&key(), 0);
+    let data_end = end_of(&bytes, offset_of_signature(&bytes));
+    for length in [data_end, data_end + 13, bytes.len() - 60, bytes.len() - 9] {
+        assert_eq!(check(&bytes[..length]), Signed::No, "{length}");
+    }
+    for tail in [&bytes[..bytes.len() - 1], &[&bytes[..], &[0]].concat()] {
+        assert!(!matches!(check(tail), Signed::By(_)));
+    }
+}
+
 #[test]
 fn a_signature_of_another_segment_does_not_fit() {
     let first = signed_by(&key(), 0);
@@ -128,7 +180,7 @@ fn a_signature_of_another_segment_does_not_fit() {
 }
 
 #[test]
-fn a_key_shows_its_secret_half_to_nobody_who_prints_it() {
+fn a_printed_key_does_not_show_its_secret_half() {
     let key = key();
     assert!(!format!("{key:?}").contains(&key.secret()));
     assert_eq!(RobotKey::parse(&key.secret()), Some(key));

@@ -2,7 +2,7 @@
 //! asks for.
 //!
 //! The account that the workstation used is that of `sudo` if `buffer serve` was started by it, as docs/pull-buffer.md
-//! recommends: whoever may only start this command can neither change nor leave out a line.
+//! recommends: an account that may only start this command can neither change nor leave out a line.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};

@@ -4,8 +4,9 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result};
-use segment_store::signature::{Signed, check_signature};
-use segment_store::{Entry, Finding, KnownRobots, Name, Root, State, Verified};
+use segment_store::{
+    Entry, Finding, KnownRobots, Name, Root, Signed, State, Verified, check_signature,
+};
 
 use super::{segments, until};
 

@@ -199,6 +199,7 @@ pub(super) fn together(config: &Config) -> Vec<Problem> {
         ("safety", body_is_finite(config)),
         ("safety", back_off_ends_in_time(config)),
         ("base", corners_are_within_radius(config)),
+        ("identity", name_is_a_word(config)),
     ]);
     problems.into_iter().chain(refused([("simulator.nuisances", nuisances(config))])).collect()
 }
@@ -260,6 +261,17 @@ fn nuisances(config: &Config) -> Result<(), String> {
 
 #[cfg(not(feature = "simulator"))]
 fn nuisances(_config: &Config) -> Result<(), String> {
+    Ok(())
+}
+
+/// `firmware-host identity` prints key and name in one line of words.
+fn name_is_a_word(config: &Config) -> Result<(), String> {
+    let name = &config.identity.name;
+    if name.contains(char::is_whitespace) {
+        return Err(format!(
+            "`name = {name:?}` has a space: give a name of one word, such as \"kitchen\""
+        ));
+    }
     Ok(())
 }
 

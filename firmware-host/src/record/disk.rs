@@ -6,6 +6,7 @@ use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::rc::Rc;
 
+use data_encoding::HEXLOWER;
 use runtime::recording::END_WITHOUT_SUMMARY;
 use segment_store::private;
 use sha2::{Digest, Sha256};
@@ -97,7 +98,6 @@ impl SegmentFile for File {
 }
 
 /// What has been written to a segment so far. It is shared by the sink and the owner of the writer.
-#[derive(Default)]
 pub(super) struct Written {
     bytes: Cell<u64>,
     /// Of all bytes; `None` in a recording that is not signed.
@@ -116,8 +116,7 @@ impl Written {
 
     /// SHA-256 of all bytes so far, 64 hexadecimal digits; `None` in a recording that is not signed.
     pub(super) fn digest(&self) -> Option<String> {
-        let digest = self.sha256.as_ref()?.borrow().clone().finalize();
-        Some(digest.iter().map(|byte| format!("{byte:02x}")).collect())
+        Some(HEXLOWER.encode(&self.sha256.as_ref()?.borrow().clone().finalize()))
     }
 
     fn add(&self, data: &[u8]) {

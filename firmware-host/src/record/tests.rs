@@ -10,8 +10,8 @@ use std::sync::{Arc, Mutex};
 use hal::CameraModel;
 use runtime::recording::{RecordedTick, RecordingReader, RgbImage, RunHeader, RunIdentity, Views};
 use runtime::tick::{Command, Decision};
-use segment_store::signature::{RobotKey, Signed, check_signature};
-use segment_store::{Finding, verify};
+use segment_store::signature::RobotKey;
+use segment_store::{Finding, Signed, check_signature, verify};
 
 use super::*;
 

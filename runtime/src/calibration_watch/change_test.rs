@@ -371,6 +371,7 @@ mod tests {
             assert_eq!(all, [], "{seed}");
         }
     }
+
     #[test]
     fn a_base_that_is_twice_as_noisy_as_expected_raises_no_alarm() {
         let limits = Limits { noise: [0.5], ..LIMITS };

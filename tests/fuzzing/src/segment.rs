@@ -1,5 +1,4 @@
-use segment_store::signature::{Signed, check_signature};
-use segment_store::{Finding, KnownRobots, recover, verify};
+use segment_store::{Finding, KnownRobots, Signed, check_signature, recover, verify};
 
 /// Arbitrary bytes as a segment. The result of recovery is a complete segment, and it is not signed.
 pub fn segment(bytes: &[u8]) {

@@ -237,7 +237,7 @@ def test_a_damaged_object_is_named_by_its_url(
     assert "16 frames; 2 segments were new" in said.out
 
 
-def test_a_segment_that_somebody_else_put_into_the_bucket_trains_nothing(
+def test_a_segment_that_another_person_put_into_the_bucket_trains_nothing(
     walk: Frames,
     tmp_path: Path,
     server: Address,
@@ -246,10 +246,10 @@ def test_a_segment_that_somebody_else_put_into_the_bucket_trains_nothing(
 ) -> None:
     record(tmp_path / "runs/monday", walk, [24, 8, 8])
     sign_run(tmp_path / "runs/monday", KITCHEN)
-    # Somebody replaces a segment by one that the robot did not write, and signs it with another key.
+    # One segment is replaced by one that the robot did not write, and signs it with another key.
     record(tmp_path / "runs/monday", room(8, seed=1), [8], range(1))
     sign(tmp_path / "runs/monday/recording_0000.mcap", THIEF)
-    # Somebody adds a signed segment under another name.
+    # A signed segment is added under another name.
     copy = (tmp_path / "runs/monday/recording_0002.mcap").read_bytes()
     (tmp_path / "runs/monday/recording_0003.mcap").write_bytes(copy)
     upload(tmp_path / "runs", server)

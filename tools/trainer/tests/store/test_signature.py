@@ -235,7 +235,7 @@ def test_a_missing_package_is_named(segment: Path, monkeypatch: pytest.MonkeyPat
 
 def test_known_robots_are_read_with_and_without_names(tmp_path: Path) -> None:
     file = tmp_path / "robots.txt"
-    file.write_text(f"# our robots\n\n{public(KITCHEN)} kitchen\n  {public(HALL).upper()}\n")
+    file.write_text(f"# our robots\n\n{public(KITCHEN)} kitchen\n  {public(HALL)}\n")
     robots = read_robots(file)
     assert robots.names == {public(KITCHEN): "kitchen", public(HALL): None}
     assert [robots.label(public(key)) for key in (KITCHEN, HALL)] == ["kitchen", f"{public(HALL)[:8]}..."]
@@ -245,12 +245,12 @@ def test_known_robots_are_read_with_and_without_names(tmp_path: Path) -> None:
     assert read_robots(file).digest != ROBOTS.digest
 
 
-@pytest.mark.parametrize("line", ["kitchen", "abcd kitchen", f"{'a' * 64} the kitchen", f"{'a' * 65}"])
+@pytest.mark.parametrize("line", ["kitchen", "abcd kitchen", f"{'a' * 64} the kitchen", f"{'a' * 65}", "A" * 64])
 def test_a_line_that_is_no_robot_is_named_with_its_number(tmp_path: Path, line: str) -> None:
     file = tmp_path / "robots.txt"
     file.write_text(f"# comment\n{public(KITCHEN)}\n{line}\n")
     with pytest.raises(
-        TrainerError, match=rf"robots.txt, line 3: `{line}` is no robot; expected are the 64 hex digits"
+        TrainerError, match=rf"robots.txt, line 3: `{line}` is no robot; expected are the 64 lower-case hex digits"
     ):
         read_robots(file)
 

@@ -11,7 +11,7 @@ from embodied_depth_trainer.errors import TrainerError
 
 # The digits of a key that are enough to recognise it in a report.
 SHOWN_DIGITS = 8
-LINE = re.compile(r"([0-9a-fA-F]{64})(?:\s+(\S+))?")
+LINE = re.compile(r"([0-9a-f]{64})(?:\s+(\S+))?")
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ def read_robots(file: Path) -> KnownRobots:
         found = LINE.fullmatch(line)
         if found is None:
             raise TrainerError(
-                f"{file}, line {number}: `{line}` is no robot; expected are the 64 hex digits of its public key and, "
-                "after a space, a name without spaces"
+                f"{file}, line {number}: `{line}` is no robot; expected are the 64 lower-case hex digits of its public "
+                "key and, after a space, a name without spaces"
             )
-        names[found[1].lower()] = found[2]
+        names[found[1]] = found[2]
     if not names:
         raise TrainerError(f"{file} names no robot, so nothing would be trained on; add the public key of one")
     return KnownRobots(names)
