@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 use serde_json::Value;
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::tables::{self, Table};
 use crate::{explore, paths};
@@ -21,12 +22,6 @@ const COLUMNS: [&str; 9] = [
     "stuck frames (longest)",
 ];
 const MEANS: [&str; 4] = ["policy", "coverage", "at its true place", "collisions"];
-/// Quantiles of Student's t at 97.5 % for 1 to 30 degrees of freedom (any table of the distribution).
-const T: [f64; 30] = [
-    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160,
-    2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056,
-    2.052, 2.048, 2.045, 2.042,
-];
 
 /// Explores each home with each policy and each seed. Runs that an earlier call has finished are not repeated. With `update`,
 /// the tables go into docs/data/policies.json and docs/policies.md.
@@ -54,8 +49,8 @@ pub fn run(frames: u64, seeds: u64, update: bool) -> Result<()> {
     print!("{}{}", table.markdown(), means.markdown());
     if update {
         let made_by = format!("cargo xtask policies --frames {frames} --seeds {seeds} --update");
-        tables::update("policies", "policies", &made_by, &table)?;
-        tables::update("policies", "policy_means", &made_by, &means)?;
+        let tables = [("policies", &table), ("policy_means", &means)];
+        tables::update_all("policies", &made_by, &tables)?;
     }
     Ok(())
 }
@@ -87,7 +82,7 @@ fn interval(values: &[f64]) -> (f64, f64) {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
     let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    let t = values.len().checked_sub(2).map(|index| *T.get(index).unwrap_or(&1.96));
+    let t = StudentsT::new(0.0, 1.0, count - 1.0).map(|t| t.inverse_cdf(0.975));
     (mean, t.map_or(f64::NAN, |t| t * (variance / count).sqrt()))
 }
 

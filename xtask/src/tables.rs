@@ -108,14 +108,24 @@ fn line(cells: &[String]) -> String {
 /// # Errors
 /// When a file cannot be read or written, or no document has the table.
 pub fn update(file: &str, name: &str, made_by: &str, table: &Table) -> Result<()> {
+    update_all(file, made_by, &[(name, table)])
+}
+
+/// As [`update`], for all tables of one measurement, by their names.
+///
+/// # Errors
+/// As [`update`].
+pub fn update_all(file: &str, made_by: &str, tables: &[(&str, &Table)]) -> Result<()> {
     let path = paths::root().join("docs/data").join(format!("{file}.json"));
     let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
     let mut data: Value =
         serde_json::from_str(&text).with_context(|| path.display().to_string())?;
-    let mut entry = table.to_json();
-    entry["made_by"] = made_by.into();
-    entry["measured"] = commit()?.into();
-    data[name] = entry;
+    for (name, table) in tables {
+        let mut entry = table.to_json();
+        entry["made_by"] = made_by.into();
+        entry["measured"] = commit()?.into();
+        data[*name] = entry;
+    }
     std::fs::write(&path, format!("{data:#}\n")).with_context(|| path.display().to_string())?;
     write_documents()?;
     println!("{} and the documents have the new table.", path.display());
