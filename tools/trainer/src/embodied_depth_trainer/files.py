@@ -1,11 +1,17 @@
-"""Writes files so that a reader sees either the old content or the complete new one."""
+"""Writes files so that a reader sees either the old content or the complete new one, and names for unfinished ones."""
 
 from __future__ import annotations
 
 import os
+import platform
 from pathlib import Path
 
 from embodied_depth_trainer.errors import TrainerError
+
+
+def process_name() -> str:
+    """A name that no other process has, on this or another computer."""
+    return f"{platform.node()}-{os.getpid()}"
 
 
 def write_atomically(data: bytes, file: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from embodied_depth_trainer import cluster
 from embodied_depth_trainer.networks.registry import DEPTH_NETWORKS
 from embodied_depth_trainer.store.known_robots import KnownRobots, read_robots
 
@@ -33,6 +34,29 @@ def add_dumps(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--dataset", type=Path, action="append", default=[], help="output of `firmware-host perceive --dataset --dump`"
     )
+
+
+def add_cluster(command: argparse.ArgumentParser, what: str) -> None:
+    command.add_argument(
+        "--on",
+        type=cluster.place,
+        default=cluster.LOCAL,
+        metavar="local|ray|ray://HEAD:PORT",
+        help=f"where {what} run: on this computer, or on the Ray cluster that RAY_ADDRESS or a running `ray start` "
+        "names (without one, a new one on this computer); its nodes must see all directories of this command under the "
+        "same paths [local]",
+    )
+
+
+def with_absolute_paths(options: argparse.Namespace) -> argparse.Namespace:
+    """The same options for processes in other working directories."""
+    return argparse.Namespace(**{name: _absolute(value) for name, value in vars(options).items()})
+
+
+def _absolute(value: object) -> object:
+    if isinstance(value, list):
+        return [_absolute(item) for item in value]
+    return value.absolute() if isinstance(value, Path) else value
 
 
 def add_threads(command: argparse.ArgumentParser) -> None:

@@ -7,7 +7,15 @@ import hashlib
 import sys
 from pathlib import Path
 
-from embodied_depth_trainer.commands.arguments import add_firmware_host, add_robots, image_size, known_robots
+from embodied_depth_trainer.cluster import LOCAL
+from embodied_depth_trainer.commands.arguments import (
+    add_cluster,
+    add_firmware_host,
+    add_robots,
+    image_size,
+    known_robots,
+    with_absolute_paths,
+)
 from embodied_depth_trainer.data.past_frames import GAP, PastFrames
 from embodied_depth_trainer.data.teacher import MEAN, MULTIPLE, STD, Teacher, TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
@@ -32,7 +40,8 @@ def add_prepare(command: argparse.ArgumentParser) -> None:
         "store (s3://BUCKET/PREFIX, gs://BUCKET/PREFIX)",
     )
     command.add_argument("--out", type=Path, required=True, help="the store: a directory to make or to complete")
-    command.add_argument("--workers", type=int, default=1, help="number of processes [1]")
+    command.add_argument("--workers", type=int, help="number of processes of this computer [1]")
+    add_cluster(command, "segments are prepared, one for each CPU;")
     command.add_argument("--size", type=image_size, help="reduce the images to rows x columns [as recorded]")
     command.add_argument(
         "--coarse",
@@ -104,7 +113,12 @@ def tools_of(options: argparse.Namespace) -> Tools:
     recipe = Recipe(
         coarse, engine_of(robot) if robot else None, past, options.size, has_labels, digest, teacher_options
     )
-    return Tools(recipe, robot, options.teacher, teacher_options, options.workers, known_robots(options))
+    if options.workers is not None and options.on != LOCAL:
+        raise TrainerError(
+            "--workers counts processes of this computer, and a Ray cluster uses all its CPUs; omit --workers"
+        )
+    workers = 1 if options.workers is None else options.workers
+    return Tools(recipe, robot, options.teacher, teacher_options, workers, known_robots(options), options.on)
 
 
 def _teacher_options(options: argparse.Namespace) -> TeacherOptions:
@@ -118,6 +132,7 @@ def _teacher_options(options: argparse.Namespace) -> TeacherOptions:
 
 
 def run_prepare(options: argparse.Namespace) -> None:
+    options = options if options.on == LOCAL else with_absolute_paths(options)
     tools = tools_of(options)
     store = Store.create(options.out, tools.recipe)
     for problem in remove_damaged(store) if options.check else ():

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.files import process_name
 
 META_FILE = "meta.json"
 SUMS_FILE = "SHA256SUMS"
@@ -36,7 +37,7 @@ class FolderWriter:
         self.folder = folder
         self.count = count
         # Two processes that make the same folder do not meet.
-        self.partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+        self.partial = folder.with_name(f".{folder.name}.{process_name()}.partial")
         shutil.rmtree(self.partial, ignore_errors=True)
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)

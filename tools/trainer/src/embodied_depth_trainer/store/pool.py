@@ -6,12 +6,14 @@ import multiprocessing
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Protocol, Self, TypeVar
 
 import torch
 from tqdm import tqdm
 
+from embodied_depth_trainer.cluster import LOCAL
 from embodied_depth_trainer.errors import TrainerError
 
 Key = TypeVar("Key")
@@ -19,15 +21,21 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 
-class Pool:
-    """Processes that last as long as the context. One worker is this process itself."""
+class Engine(Protocol):
+    """Where jobs are computed."""
 
-    def __init__(self, workers: int) -> None:
-        if workers < 1:
-            raise TrainerError(f"{workers} workers do nothing; give 1 or more")
-        # A fork of a process with PyTorch's threads can block.
-        spawn = multiprocessing.get_context("spawn")
-        self.processes = ProcessPoolExecutor(workers, spawn, torch.set_num_threads, (1,)) if workers > 1 else None
+    def results(self, work: Callable[[Job], Result], jobs: Mapping[Key, Job]) -> Iterator[tuple[Key, Result]]:
+        """The results with their keys, as they are done."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class Pool:
+    """An engine that lasts as long as the context."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
 
     def __enter__(self) -> Self:
         return self
@@ -35,21 +43,46 @@ class Pool:
     def __exit__(
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self.processes is not None:
-            self.processes.shutdown(cancel_futures=True)
+        self.engine.close()
 
     def each(self, work: Callable[[Job], Result], jobs: Mapping[Key, Job], name: str) -> Iterator[tuple[Key, Result]]:
         """The results of the jobs with their keys, as they are done. A progress bar shows how many are."""
         bar = tqdm(total=len(jobs), unit=name, disable=None if jobs else True)
         with bar:
-            for done in self._results(work, jobs):
+            for done in self.engine.results(work, jobs):
                 yield done
                 bar.update()
 
-    def _results(self, work: Callable[[Job], Result], jobs: Mapping[Key, Job]) -> Iterator[tuple[Key, Result]]:
-        if self.processes is None:
-            yield from ((key, work(job)) for key, job in jobs.items())
-            return
+
+def pool(on: str, workers: int, folder: Path) -> Pool:
+    """The pool that `--on` and `--workers` ask for; its jobs write into the folder."""
+    if workers < 1:
+        raise TrainerError(f"{workers} workers do nothing; give 1 or more")
+    if on != LOCAL:
+        # Imported here because it imports this module.
+        from embodied_depth_trainer.store.ray_pool import RayJobs
+
+        return Pool(RayJobs(on, folder))
+    return Pool(Processes(workers) if workers > 1 else ThisProcess())
+
+
+class ThisProcess:
+    def results(self, work: Callable[[Job], Result], jobs: Mapping[Key, Job]) -> Iterator[tuple[Key, Result]]:
+        return ((key, work(job)) for key, job in jobs.items())
+
+    def close(self) -> None:
+        pass
+
+
+class Processes:
+    """Several processes on this computer."""
+
+    def __init__(self, workers: int) -> None:
+        # A fork of a process with PyTorch's threads can block.
+        spawn = multiprocessing.get_context("spawn")
+        self.processes = ProcessPoolExecutor(workers, spawn, torch.set_num_threads, (1,))
+
+    def results(self, work: Callable[[Job], Result], jobs: Mapping[Key, Job]) -> Iterator[tuple[Key, Result]]:
         futures = {self.processes.submit(work, job): key for key, job in jobs.items()}
         try:
             for future in as_completed(futures):
@@ -59,3 +92,6 @@ class Pool:
                 "a worker was killed, perhaps for lack of memory; what is done is kept: run the same command again, "
                 "with fewer --workers"
             ) from None
+
+    def close(self) -> None:
+        self.processes.shutdown(cancel_futures=True)

@@ -11,13 +11,14 @@ from pathlib import Path
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
+from embodied_depth_trainer.cluster import LOCAL
 from embodied_depth_trainer.data.teacher import TeacherOptions
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
 from embodied_depth_trainer.store.chain import breaks
 from embodied_depth_trainer.store.known_robots import KnownRobots
 from embodied_depth_trainer.store.labels import LabelJob, halo, make_labels
 from embodied_depth_trainer.store.manifest import Entry, Run
-from embodied_depth_trainer.store.pool import Pool
+from embodied_depth_trainer.store.pool import Pool, pool
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.shards import ShardJob, make_shard
 from embodied_depth_trainer.store.sources import RecordedRun, RecordedSegment, RemoteSegment, find_runs
@@ -39,6 +40,8 @@ class Tools:
     """Number of processes."""
     known_robots: KnownRobots | None = None
     """The robots whose segments are accepted; `None`: signatures are not checked."""
+    on: str = LOCAL
+    """Where the processes are; see `cluster.place`. On a cluster, all paths must be absolute."""
 
 
 @dataclass
@@ -68,10 +71,10 @@ def prepare(sources: Sequence[Path | str], store: Store, tools: Tools, growing: 
     if tools.known_robots is not None:
         report.refused.update(review(store, tools.known_robots))
     runs = [run for source in sources for run in find_runs(source)]
-    with Pool(tools.workers) as pool:
-        _shards(runs, store, tools, growing, pool, report)
+    with pool(tools.on, tools.workers, store.downloads) as workers:
+        _shards(runs, store, tools, growing, workers, report)
         if tools.recipe.labels:
-            _labels(runs, store, tools, pool, report)
+            _labels(runs, store, tools, workers, report)
     return report
 
 
@@ -94,7 +97,9 @@ def remove_damaged(store: Store) -> list[str]:
     return found
 
 
-def _shards(runs: Sequence[RecordedRun], store: Store, tools: Tools, growing: bool, pool: Pool, report: Report) -> None:
+def _shards(
+    runs: Sequence[RecordedRun], store: Store, tools: Tools, growing: bool, workers: Pool, report: Report
+) -> None:
     jobs = {}
     for recorded in runs:
         run = store.run_of(recorded.source)
@@ -104,7 +109,7 @@ def _shards(runs: Sequence[RecordedRun], store: Store, tools: Tools, growing: bo
                     segment, store.folder / "shards", store.downloads, tools.recipe, tools.robot, tools.known_robots
                 )
     new: dict[str, set[str]] = defaultdict(set)
-    for (source, segment), entry in pool.each(make_shard, jobs, "segment"):
+    for (source, segment), entry in workers.each(make_shard, jobs, "segment"):
         if entry is None:
             report.replaced.append(str(segment))
             continue
@@ -148,7 +153,7 @@ def _is_open(segment: RecordedSegment, run: RecordedRun) -> bool:
             return True
 
 
-def _labels(runs: Sequence[RecordedRun], store: Store, tools: Tools, pool: Pool, report: Report) -> None:
+def _labels(runs: Sequence[RecordedRun], store: Store, tools: Tools, workers: Pool, report: Report) -> None:
     jobs = {}
     for source in (run.source for run in runs):
         shards = store.run_of(source).shards
@@ -156,7 +161,7 @@ def _labels(runs: Sequence[RecordedRun], store: Store, tools: Tools, pool: Pool,
             job = _label_job(shards, place, store, tools)
             if entry.labels != job.name or not store.labels(job.name).is_dir():
                 jobs[source, entry.file] = job
-    for (source, file), name in pool.each(make_labels, jobs, "label"):
+    for (source, file), name in workers.each(make_labels, jobs, "label"):
         run = store.run_of(source)
         run.set_labels(run.entries[file], name)
         store.keep(source)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 from collections import defaultdict
@@ -13,6 +12,7 @@ from pathlib import Path
 
 from embodied_depth_trainer.data.recording import SEGMENT_NAME, segments
 from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.files import process_name
 from embodied_depth_trainer.store.bucket import StoredObject, download, list_objects
 from embodied_depth_trainer.store.manifest import Entry
 
@@ -71,7 +71,7 @@ class RemoteSegment:
 
     @contextmanager
     def on_disk(self, scratch: Path) -> Iterator[Path]:
-        folder = scratch / str(os.getpid())
+        folder = scratch / process_name()
         try:
             self._download(folder)
             yield folder / self.name
