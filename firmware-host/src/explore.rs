@@ -99,14 +99,16 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
         args.dump.as_deref().map(|dir| Dump::create(dir, &config.camera.model())).transpose()?;
     let hand_over = HandOver::new(&args.hand_over, &config)?;
     let panel = ControlPanel::default();
+    let can = live::abilities(map.as_ref(), mission.policy, &config)?;
     let watched = live::socket_of(args.live.as_deref(), &config)
-        .map(|socket| Live::start(&socket, &config, panel.clone(), map.is_some()))
+        .map(|socket| Live::start(&socket, &config, panel.clone(), can))
         .transpose()?
         .map(|live| Watched::new(live, panel.clone(), Some(args.out.display().to_string())));
     let mut exploration =
         Exploration::new(args, &config, &simulated, &faults, robot, recorder, &panel);
     exploration.log.watched = watched;
     exploration.log.dump = dump;
+    exploration.close_areas(map.as_ref())?;
     exploration.log.map = map;
     exploration.hand_over = hand_over;
     exploration.log.models =

@@ -5,14 +5,14 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use runtime::exploration::PolicyKind;
 use serde_json::Value;
 
 use crate::config::Config;
 
 /// The corners of an area, metres.
-type Polygon = Vec<[f64; 2]>;
+pub type Polygon = Vec<[f64; 2]>;
 
 /// Adds the areas of a file to the configuration, and checks that the policy can keep out of all areas.
 ///
@@ -23,13 +23,22 @@ pub fn close(file: Option<&Path>, policy: PolicyKind, config: &mut Config) -> Re
         let text = std::fs::read_to_string(path).with_context(|| {
             format!("cannot read {}; --keep-out needs a GeoJSON file with polygons", path.display())
         })?;
-        let polygons = parse(&text).with_context(|| format!("--keep-out {}", path.display()))?;
+        let named = || format!("--keep-out {}", path.display());
+        let polygons = polygons(&text).with_context(named)?;
+        if polygons.is_empty() {
+            return Err(anyhow!("the file has no polygon")).with_context(named);
+        }
         config.planning.keep_out_m.extend(polygons);
         config.plan_config().validate()?;
     }
-    if config.planning.keep_out_m.is_empty() {
-        return Ok(());
-    }
+    if config.planning.keep_out_m.is_empty() { Ok(()) } else { can_keep_out(policy, config) }
+}
+
+/// Whether a robot with this policy can keep out of areas.
+///
+/// # Errors
+/// Why it cannot.
+pub fn can_keep_out(policy: PolicyKind, config: &Config) -> Result<()> {
     if matches!(policy, PolicyKind::Random | PolicyKind::Heuristic | PolicyKind::Forward) {
         bail!(
             "the policy `{}` plans no paths and would enter the closed areas; use --policy active, frontier or inconsistency",
@@ -44,14 +53,14 @@ pub fn close(file: Option<&Path>, policy: PolicyKind, config: &mut Config) -> Re
     Ok(())
 }
 
-/// All polygons of a GeoJSON text.
-fn parse(text: &str) -> Result<Vec<Polygon>> {
+/// All polygons of a GeoJSON text, without the corner that repeats the first one.
+///
+/// # Errors
+/// Text that is not GeoJSON, or has other shapes than polygons without holes.
+pub fn polygons(text: &str) -> Result<Vec<Polygon>> {
     let value: Value = serde_json::from_str(text).context("not JSON")?;
     let mut polygons = Vec::new();
     collect(&value, &mut polygons)?;
-    if polygons.is_empty() {
-        bail!("the file has no polygon");
-    }
     Ok(polygons)
 }
 
@@ -119,7 +128,7 @@ mod tests {
         let all = format!(r#"{{"type": "FeatureCollection", "features": [{feature}, {feature}]}}"#);
         let multi = geometry("MultiPolygon", &format!("[{SQUARE}]"));
         for (text, count) in [(&bare, 1), (&feature, 1), (&all, 2), (&multi, 1)] {
-            assert_eq!(parse(text).unwrap(), vec![square.clone(); count], "{text}");
+            assert_eq!(polygons(text).unwrap(), vec![square.clone(); count], "{text}");
         }
     }
 
@@ -131,11 +140,10 @@ mod tests {
             (geometry("Polygon", hole), "has holes"),
             (geometry("Polygon", "[[[0,0],[1,1],[0,0]]]"), "fewer than three corners"),
             (geometry("Polygon", "[[[0],[1],[2],[0]]]"), "fewer than two coordinates"),
-            (r#"{"type": "FeatureCollection", "features": []}"#.to_owned(), "no polygon"),
             ("{}".to_owned(), "without `type`"),
             ("[".to_owned(), "not JSON"),
         ] {
-            let error = parse(&text).unwrap_err().to_string();
+            let error = polygons(&text).unwrap_err().to_string();
             assert!(error.contains(words), "{error}");
         }
     }
@@ -148,6 +156,10 @@ mod tests {
         let mut config = Config::default();
         close(Some(&path), PolicyKind::Active, &mut config).unwrap();
         assert_eq!(config.planning.keep_out_m.len(), 1);
+        let none = dir.path().join("none.geojson");
+        std::fs::write(&none, r#"{"type": "FeatureCollection", "features": []}"#).unwrap();
+        let error = close(Some(&none), PolicyKind::Active, &mut Config::default()).unwrap_err();
+        assert!(format!("{error:#}").contains("no polygon"), "{error:#}");
         let error = close(None, PolicyKind::Random, &mut config).unwrap_err().to_string();
         assert!(error.contains("`random` plans no paths"), "{error}");
         // Degrees times 1e5 are no metres of a home.

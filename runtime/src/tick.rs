@@ -8,7 +8,7 @@ use crate::localization::LostReason;
 use crate::operator::OperatorOrder;
 use crate::outside_pose::OutsideInput;
 use crate::safety::SentCommand;
-use crate::task::Task;
+use crate::task::{AreaChange, Task};
 
 /// Everything that enters one tick. A recording of all inputs replays the run.
 #[derive(Debug, Clone, Copy)]
@@ -32,6 +32,8 @@ pub struct TickInput<'a> {
     pub truth: Option<&'a DepthMap>,
     /// What the operator has asked for since the previous tick.
     pub task: Option<Task>,
+    /// Areas that the operator has closed or opened since the previous tick, in order.
+    pub areas: &'a [AreaChange],
     /// The orders that came since the previous tick, accepted and refused. They are noted only: what they do reaches the robot as
     /// `task` and through the safety plane.
     pub orders: &'a [OperatorOrder],

@@ -1,7 +1,7 @@
 //! From the view to the robot: one JSON object a line.
 
 use runtime::operator::Role;
-use runtime::task::Task;
+use runtime::task::{AreaChange, Task};
 use serde::{Deserialize, Serialize};
 
 /// The longest line. An order needs 200 bytes, a subscription of all channels as many.
@@ -58,11 +58,26 @@ pub enum Order {
     Return,
     /// Write the map to its file now.
     SaveMap,
+    /// Drive at a velocity for [`HOLD_NS`](runtime::task::HOLD_NS), and stand then. A person who drives by hand gives it ten times
+    /// a second.
+    Drive {
+        /// Forward speed, m/s; negative: backward.
+        linear_mps: f64,
+        /// Yaw rate, rad/s, left is positive.
+        angular_radps: f64,
+    },
+    /// Keep out of an area.
+    KeepOut {
+        /// Its corners in order, metres in `map`. Corners that coincide make it a triangle or a line.
+        corners_m: [[f64; 2]; 4],
+    },
+    /// Enter all areas again that were closed by [`KeepOut`](Self::KeepOut).
+    OpenAreas,
 }
 
 impl Order {
-    /// All orders, with some place.
-    pub const ALL: [Self; 8] = [
+    /// All orders, with some place and velocity.
+    pub const ALL: [Self; 11] = [
         Self::Stop,
         Self::Disarm,
         Self::Arm,
@@ -71,6 +86,9 @@ impl Order {
         Self::GoTo { x_m: 0.0, y_m: 0.0 },
         Self::Return,
         Self::SaveMap,
+        Self::Drive { linear_mps: 0.0, angular_radps: 0.0 },
+        Self::KeepOut { corners_m: [[0.0; 2]; 4] },
+        Self::OpenAreas,
     ];
 
     /// The order in words, for people and for the recording.
@@ -85,6 +103,12 @@ impl Order {
             Self::GoTo { x_m, y_m } => format!("go to ({x_m:.2}, {y_m:.2}) m"),
             Self::Return => "return to the start".to_owned(),
             Self::SaveMap => "save the map".to_owned(),
+            Self::Drive { .. } => "drive by hand".to_owned(),
+            Self::KeepOut { corners_m } => {
+                let corners = corners_m.map(|[x_m, y_m]| format!("({x_m:.2}, {y_m:.2})"));
+                format!("keep out of {} m", corners.join(", "))
+            }
+            Self::OpenAreas => "open the closed areas".to_owned(),
         }
     }
 
@@ -111,7 +135,25 @@ impl Order {
             Self::Resume => Some(Task::Explore),
             Self::GoTo { x_m, y_m } => Some(Task::GoTo { x_m, y_m }),
             Self::Return => Some(Task::Return),
-            Self::Stop | Self::Disarm | Self::Arm | Self::SaveMap => None,
+            Self::Drive { linear_mps, angular_radps } => {
+                Some(Task::Drive { linear_mps, angular_radps })
+            }
+            Self::Stop
+            | Self::Disarm
+            | Self::Arm
+            | Self::SaveMap
+            | Self::KeepOut { .. }
+            | Self::OpenAreas => None,
+        }
+    }
+
+    /// The change of the closed areas that the order is, if it is one.
+    #[must_use]
+    pub fn area(&self) -> Option<AreaChange> {
+        match *self {
+            Self::KeepOut { corners_m } => Some(AreaChange::Close { corners_m }),
+            Self::OpenAreas => Some(AreaChange::OpenAll),
+            _ => None,
         }
     }
 }
@@ -129,9 +171,12 @@ pub enum LineError {
     /// A name that would fill the recording.
     #[error("a client's name has more than {MAX_WHO} bytes")]
     Who,
-    /// A coordinate that is no place.
+    /// A number that no place and no velocity has.
     #[error(transparent)]
-    Place(#[from] runtime::task::PlaceNotFinite),
+    NotFinite(#[from] runtime::task::NotFinite),
+    /// A corner that is not in the home.
+    #[error(transparent)]
+    Area(#[from] runtime::task::AreaTooFar),
 }
 
 impl Line {
@@ -149,6 +194,7 @@ impl Line {
                 return Err(LineError::Who);
             }
             line.order.task().map(Task::check).transpose()?;
+            line.order.area().map(AreaChange::check).transpose()?;
         }
         Ok(line)
     }
@@ -221,11 +267,14 @@ mod tests {
     }
 
     #[test]
-    fn a_place_that_is_not_finite_an_unknown_key_and_a_long_name_are_refused() {
+    fn numbers_that_are_not_finite_or_too_far_an_unknown_key_and_a_long_name_are_refused() {
         for text in [
             r#"{"order":{"id":7,"who":"a","role":"steer","order":{"order":"go_to","x_m":1e999,"y_m":0}}}"#,
             r#"{"order":{"id":7,"who":"a","role":"steer","force":true,"order":{"order":"stop"}}}"#,
             r#"{"order":{"id":7,"who":"a","role":"root","order":{"order":"stop"}}}"#,
+            r#"{"order":{"id":7,"who":"a","role":"steer","order":{"order":"drive","linear_mps":0,"angular_radps":1e999}}}"#,
+            r#"{"order":{"id":7,"who":"a","role":"steer","order":{"order":"keep_out","corners_m":[[0,0],[1,0],[1,2000]]}}}"#,
+            r#"{"order":{"id":7,"who":"a","role":"steer","order":{"order":"keep_out","corners_m":[[0,0],[1,0],[1,2000],[0,1]]}}}"#,
             r#"{"steer":1}"#,
         ] {
             assert!(Line::parse(text.as_bytes()).is_err(), "{text}");

@@ -22,6 +22,7 @@ pub fn layout() -> Value {
                 "/scan": {"visible": true, "colorMode": "flat", "flatColor": "#d55e00", "pointSize": 3},
                 "/path": {"visible": true, "type": "line", "lineWidth": 0.05, "gradient": ["#0072b2", "#0072b2"]},
                 "/goal": {"visible": true, "axisScale": 0.4},
+                "/keep_out": {"visible": true},
                 "/pose": {"visible": true, "type": "arrow", "color": "#009e73", "arrowScale": [0.5, 0.1, 0.1]}
             },
             "publish": {"type": "pose", "poseTopic": "/goal_pose", "pointTopic": "/clicked_point"},
@@ -32,10 +33,18 @@ pub fn layout() -> Value {
         "RawMessages!now": {"topicPath": "/robot/now", "diffEnabled": false},
         "RosOut!events": {"topicToRender": "/events", "searchTerms": [], "minLogLevel": 1},
         "Plot!ticks": plot("Time of a tick, ms", &["/robot/now.tick_ms", "/robot/health.exploration.tick_p99_ms"]),
+        // Ten messages a second while a button is pressed; the robot stands 0.4 s after the last one.
+        "Teleop!drive": {
+            "topic": "/cmd_vel", "publishRate": 10, "foxglovePanelTitle": "Drive by hand",
+            "upButton": {"field": "linear-x", "value": 0.2}, "downButton": {"field": "linear-x", "value": -0.1},
+            "leftButton": {"field": "angular-z", "value": 0.3}, "rightButton": {"field": "angular-z", "value": -0.3}
+        },
         "Plot!speed": plot("Commands in force", &["/robot/now.linear_mps", "/robot/now.angular_radps"]),
     });
     let mut buttons = Vec::new();
-    for order in Order::ALL {
+    // What needs a person's numbers each time has no button.
+    let has_button = |order: &Order| !matches!(order, Order::Drive { .. } | Order::KeepOut { .. });
+    for order in Order::ALL.into_iter().filter(has_button) {
         let name = service_name(order);
         let id = format!("CallService!{name}");
         if let Some(configs) = configs.as_object_mut() {
@@ -48,7 +57,8 @@ pub fn layout() -> Value {
     let plots = beside("column", 50, &json!("Plot!ticks"), &json!("Plot!speed"));
     let texts = beside("column", 50, &json!("RawMessages!now"), &json!("RosOut!events"));
     let left = beside("column", 65, &json!("3D!map"), &beside("row", 50, &texts, &plots));
-    let right = beside("column", 45, &images, &buttons.unwrap_or(Value::Null));
+    let orders = beside("column", 75, &buttons.unwrap_or(Value::Null), &json!("Teleop!drive"));
+    let right = beside("column", 45, &images, &orders);
     json!({
         "configById": configs,
         "globalVariables": {},

@@ -12,13 +12,15 @@ const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
 const SVG: &str = "image/svg+xml";
 
 /// Every file with its type.
-const FILES: [(&str, &str, &str); 8] = [
+const FILES: [(&str, &str, &str); 10] = [
     ("index.html", HTML, include_str!("../web/index.html")),
     ("style.css", CSS, include_str!("../web/style.css")),
     ("app.js", JAVASCRIPT, include_str!("../web/app.js")),
     ("link.js", JAVASCRIPT, include_str!("../web/link.js")),
     ("messages.js", JAVASCRIPT, include_str!("../web/messages.js")),
     ("map.js", JAVASCRIPT, include_str!("../web/map.js")),
+    ("hand.js", JAVASCRIPT, include_str!("../web/hand.js")),
+    ("fence.js", JAVASCRIPT, include_str!("../web/fence.js")),
     ("health.js", JAVASCRIPT, include_str!("../web/health.js")),
     ("icon.svg", SVG, include_str!("../web/icon.svg")),
 ];

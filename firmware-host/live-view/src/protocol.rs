@@ -270,6 +270,17 @@ fn service(number: usize, order: Order) -> Value {
             "type": "object", "required": ["x_m", "y_m"],
             "properties": {"x_m": {"type": "number"}, "y_m": {"type": "number"}},
         }),
+        Order::Drive { .. } => json!({
+            "type": "object", "required": ["linear_mps", "angular_radps"],
+            "properties": {"linear_mps": {"type": "number"}, "angular_radps": {"type": "number"}},
+        }),
+        Order::KeepOut { .. } => json!({
+            "type": "object", "required": ["corners_m"],
+            "properties": {"corners_m": {
+                "type": "array", "minItems": 4, "maxItems": 4,
+                "items": {"type": "array", "minItems": 2, "maxItems": 2, "items": {"type": "number"}},
+            }},
+        }),
         _ => json!({"type": "object", "properties": {}}),
     };
     let response = json!({
@@ -304,18 +315,30 @@ pub(crate) fn service_name(order: Order) -> &'static str {
         Order::GoTo { .. } => "go_to",
         Order::Return => "return",
         Order::SaveMap => "save_map",
+        Order::Drive { .. } => "drive",
+        Order::KeepOut { .. } => "keep_out",
+        Order::OpenAreas => "open_areas",
     }
 }
 
 /// The order that a call is.
 ///
 /// # Errors
-/// A number that no service has, or a request without a place.
+/// A number that no service has, or a request without the numbers that the order needs.
 pub fn order_of(call: &Call) -> Result<Order, String> {
     #[derive(Deserialize)]
     struct Place {
         x_m: f64,
         y_m: f64,
+    }
+    #[derive(Deserialize)]
+    struct Velocity {
+        linear_mps: f64,
+        angular_radps: f64,
+    }
+    #[derive(Deserialize)]
+    struct Area {
+        corners_m: [[f64; 2]; 4],
     }
     let at = (call.service as usize).checked_sub(1);
     let order = at.and_then(|at| Order::ALL.get(at)).ok_or("there is no such service")?;
@@ -324,6 +347,19 @@ pub fn order_of(call: &Call) -> Result<Order, String> {
             let place: Place = serde_json::from_slice(&call.payload)
                 .map_err(|error| format!("a place is {{\"x_m\": 1.0, \"y_m\": 2.0}}: {error}"))?;
             Ok(Order::GoTo { x_m: place.x_m, y_m: place.y_m })
+        }
+        Order::Drive { .. } => {
+            let velocity: Velocity = serde_json::from_slice(&call.payload).map_err(|error| {
+                format!("a velocity is {{\"linear_mps\": 0.1, \"angular_radps\": 0.0}}: {error}")
+            })?;
+            let Velocity { linear_mps, angular_radps } = velocity;
+            Ok(Order::Drive { linear_mps, angular_radps })
+        }
+        Order::KeepOut { .. } => {
+            let area: Area = serde_json::from_slice(&call.payload).map_err(|error| {
+                format!("an area is {{\"corners_m\": [[0, 0], [1, 0], [1, 1], [0, 1]]}}: {error}")
+            })?;
+            Ok(Order::KeepOut { corners_m: area.corners_m })
         }
         order => Ok(*order),
     }
@@ -363,11 +399,14 @@ mod tests {
     #[test]
     fn every_service_is_the_order_that_its_name_says() {
         for (at, order) in Order::ALL.into_iter().enumerate() {
-            let read = order_of(&call(at as u32 + 1, "{\"x_m\":0,\"y_m\":0}")).unwrap();
+            let request = r#"{"x_m":0,"y_m":0,"linear_mps":0,"angular_radps":0,"corners_m":[[0,0],[0,0],[0,0],[0,0]]}"#;
+            let read = order_of(&call(at as u32 + 1, request)).unwrap();
             assert_eq!(service_name(read), service_name(order));
         }
         assert!(order_of(&call(0, "{}")).is_err() && order_of(&call(99, "{}")).is_err());
-        assert!(order_of(&call(6, "{}")).is_err());
+        for with_numbers in [6, 9, 10] {
+            assert!(order_of(&call(with_numbers, "{}")).is_err(), "{with_numbers}");
+        }
     }
 
     #[test]

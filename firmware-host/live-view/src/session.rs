@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use futures_util::stream::SplitSink;
 use futures_util::{SinkExt, StreamExt};
-use live_link::{Channel, Order};
+use live_link::Channel;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
@@ -120,11 +120,10 @@ impl Session {
             return self.say(protocol::warning("only channels in JSON can be published")).await;
         };
         let topic = channel.topic.clone();
-        let [x_m, y_m] = match publish::place(payload) {
-            Ok(place) => place,
+        let order = match publish::order(payload) {
+            Ok(order) => order,
             Err(why) => return self.say(protocol::warning(&format!("{topic}: {why}"))).await,
         };
-        let order = Order::GoTo { x_m, y_m };
         let answer = self.robot.order(&self.who, self.identity.role, order).await;
         match answer {
             Ok(answer) if answer.accepted => Ok(()),

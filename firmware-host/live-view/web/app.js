@@ -4,6 +4,8 @@ import { Link } from "./link.js";
 import { MapView } from "./map.js";
 import * as messages from "./messages.js";
 import { showHealth } from "./health.js";
+import { Hand } from "./hand.js";
+import { Fence } from "./fence.js";
 
 // Older data is not the robot's state any more. Ticks come ten times a second.
 const STALE_MS = 800;
@@ -15,7 +17,7 @@ const MOST_EVENTS = 60;
 const $ = (id) => document.getElementById(id);
 const state = { open: false, wasOpen: false, robot: null, heard: performance.now(), role: "watch", urls: {}, shown: {} };
 
-const map = new MapView($("map"), (place) => ask(place));
+const map = new MapView($("map"), (place) => (fence.draws ? fence.tap(place) : ask(place)));
 $("map").addEventListener("follows", () => $("follow").setAttribute("aria-pressed", String(map.follows)));
 
 function show(id, bytes) {
@@ -35,6 +37,10 @@ const readers = {
   },
   "/scan": (bytes) => map.set({ scan: messages.scan(bytes) }),
   "/map": (bytes) => map.setGrid(messages.grid(bytes)),
+  "/keep_out": (bytes) => {
+    map.set({ areas: messages.areas(bytes) });
+    $("open-areas").hidden = map.areas.length === 0;
+  },
   "/path": (bytes) => map.set({ path: messages.path(bytes) }),
   "/camera/image": (bytes) => show("camera", bytes),
   "/depth/image": (bytes) => show("depth", bytes),
@@ -103,10 +109,13 @@ setInterval(look, LOOK_EVERY_MS);
 
 async function order(name, request) {
   const answer = await link.call(`/robot/${name}`, request);
+  showAnswer(name, answer);
+}
+
+function showAnswer(name, answer) {
   const line = $("answer");
   line.classList.toggle("no", !answer.accepted);
   line.textContent = `${name.replace("_", " ")}: ${answer.text}`;
-  return answer;
 }
 
 $("stop").addEventListener("click", () => order("stop"));
@@ -137,6 +146,30 @@ $("ask").addEventListener("submit", (event) => {
 });
 $("ask-cancel").addEventListener("click", closeAsk);
 
+const hand = new Hand($("pad"), async (forward, left) => {
+  const { most_mps, most_radps } = state.now ?? { most_mps: 0, most_radps: 0 };
+  const velocity = { linear_mps: forward * most_mps, angular_radps: left * most_radps };
+  const answer = await link.call("/robot/drive", velocity);
+  if (!answer.accepted) showAnswer("drive", answer);
+});
+$("hand").addEventListener("click", () => {
+  hand.setActive(!hand.active);
+  $("hand").setAttribute("aria-pressed", String(hand.active));
+  $("hand-part").hidden = !hand.active;
+});
+
+const fence = new Fence($("fence"), map, (corners) => order("keep_out", { corners_m: corners.map(({ x, y }) => [x, y]) }));
+$("fence").addEventListener("draws", () => $("draw").setAttribute("aria-pressed", String(fence.draws)));
+$("draw").addEventListener("click", () => {
+  closeAsk();
+  if (fence.draws) fence.end();
+  else fence.begin();
+});
+$("open-areas").addEventListener("click", () => {
+  fence.end();
+  order("open_areas");
+});
+
 $("follow").addEventListener("click", () => map.setFollows(!map.follows));
 $("zoom-in").addEventListener("click", () => map.zoom(1.25));
 $("zoom-out").addEventListener("click", () => map.zoom(0.8));
@@ -145,10 +178,11 @@ document.addEventListener("keydown", (event) => {
   // Escape stops wherever the focus is.
   if (event.key === "Escape") {
     closeAsk();
+    hand.release();
     order("stop");
     return;
   }
-  if (event.target instanceof HTMLInputElement || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+  if (hand.takes(event.key) || event.target instanceof HTMLInputElement || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
   const keys = { a: "arm", p: "pause", r: "resume" };
   if (keys[event.key] && state.role === "steer") order(keys[event.key]);
   if (event.key === "f") map.setFollows(!map.follows);
@@ -174,6 +208,7 @@ const link = new Link(address(), readers, {
   },
   closed() {
     state.open = false;
+    hand.release();
     look();
   },
   status(text, isRobot) {

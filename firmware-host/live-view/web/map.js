@@ -1,6 +1,6 @@
 // The map: cells, path, goal, scan and robot on a canvas that can be moved and zoomed.
 
-const COLORS = { unknown: "#b9c3cc", robot: "#009e73", path: "#0072b2", scan: "#d55e00", goal: "#a3407a", ink: "#17202a" };
+const COLORS = { unknown: "#b9c3cc", robot: "#009e73", path: "#0072b2", scan: "#d55e00", goal: "#a3407a", closed: "#b00020", ink: "#17202a" };
 const ROBOT_M = 0.18;
 
 export class MapView {
@@ -15,6 +15,8 @@ export class MapView {
     this.path = [];
     this.goal = null;
     this.asked = null;
+    this.areas = [];
+    this.draft = [];
     this.pointers = new Map();
     this.listen();
     new ResizeObserver(() => this.draw()).observe(canvas);
@@ -79,6 +81,8 @@ export class MapView {
     context.fillStyle = COLORS.unknown;
     context.fillRect(0, 0, this.width, this.height);
     this.paintCells(context);
+    for (const corners of this.areas) this.paintArea(context, corners, true);
+    this.paintArea(context, this.draft, false);
     this.paintScale(context);
     this.paintPath(context);
     this.paintScan(context);
@@ -93,6 +97,27 @@ export class MapView {
     const [left, top] = this.toPixels({ x, y: y + rows * cell });
     context.imageSmoothingEnabled = false;
     context.drawImage(cells, left, top, columns * cell * this.scale, rows * cell * this.scale);
+  }
+
+  // Dashed and filled; one that is being drawn has dots at its corners.
+  paintArea(context, corners, isClosed) {
+    if (corners.length === 0) return;
+    context.save();
+    context.strokeStyle = context.fillStyle = COLORS.closed;
+    context.lineWidth = 3;
+    context.setLineDash([8, 5]);
+    context.beginPath();
+    for (const corner of corners) context.lineTo(...this.toPixels(corner));
+    if (isClosed) context.closePath();
+    context.stroke();
+    context.globalAlpha = 0.2;
+    context.fill();
+    context.globalAlpha = 1;
+    for (const corner of isClosed ? [] : corners) {
+      const [px, py] = this.toPixels(corner);
+      context.fillRect(px - 5, py - 5, 10, 10);
+    }
+    context.restore();
   }
 
   paintScale(context) {

@@ -90,6 +90,25 @@ export function path(bytes) {
   return poses;
 }
 
+// foxglove.SceneUpdate with one entity of closed lines: the corners of each.
+export function areas(bytes) {
+  const areas = [];
+  eachField(bytes, (number, entity) => {
+    if (number !== 2) return;
+    eachField(entity, (number, line) => {
+      if (number !== 11) return;
+      const corners = [];
+      eachField(line, (number, point) => {
+        if (number !== 5) return;
+        const [x, y] = vector(point);
+        corners.push({ x, y });
+      });
+      areas.push(corners);
+    });
+  });
+  return areas;
+}
+
 // foxglove.CompressedImage
 export function image(bytes) {
   let data = new Uint8Array();

@@ -215,6 +215,14 @@ impl Exploration {
         Ok(self.session.give(task)?)
     }
 
+    /// Closes the areas that were drawn on the map in earlier runs.
+    pub fn close_areas(&mut self, map: Option<&KeptMap>) -> Result<()> {
+        for change in map.into_iter().flat_map(KeptMap::area_changes) {
+            self.session.change_areas(change)?;
+        }
+        Ok(())
+    }
+
     /// Saves the map, if the run keeps one.
     pub fn save_map(&mut self) -> Result<()> {
         self.log.map.as_mut().map_or(Ok(()), |map| map.save(self.session.robot()))

@@ -22,11 +22,12 @@ pub enum Topic {
     Calibration,
     Depth,
     Events,
+    KeepOut,
 }
 
 impl Topic {
     /// All of them, in the order of their numbers.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Now,
         Self::Health,
         Self::Tf,
@@ -39,6 +40,7 @@ impl Topic {
         Self::Calibration,
         Self::Depth,
         Self::Events,
+        Self::KeepOut,
     ];
 
     /// The channel's number.
@@ -65,6 +67,7 @@ impl Topic {
             Self::Calibration => "/camera/calibration",
             Self::Depth => "/depth/image",
             Self::Events => "/events",
+            Self::KeepOut => "/keep_out",
         }
     }
 
@@ -81,6 +84,7 @@ impl Topic {
             Self::Camera | Self::Depth => fox::CompressedImage::get_schema(),
             Self::Calibration => fox::CameraCalibration::get_schema(),
             Self::Events => fox::Log::get_schema(),
+            Self::KeepOut => fox::SceneUpdate::get_schema(),
         };
         let (name, data) =
             schema.map_or_else(Default::default, |schema| (schema.name, schema.data));
@@ -112,6 +116,7 @@ const NOW: &str = r#"{"title":"robot.Now","type":"object","properties":{
 "x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_deg":{"type":"number"},
 "goal":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"why":{"type":"string"}}},
 "linear_mps":{"type":"number"},"angular_radps":{"type":"number"},
+"most_mps":{"type":"number"},"most_radps":{"type":"number"},
 "tick_ms":{"type":"number"},"dropped":{"type":"integer"}}}"#;
 
 const HEALTH: &str = r#"{"title":"robot.Health","type":"object","properties":{

@@ -19,6 +19,7 @@ use super::Mounts;
 use super::channels::Topic;
 use super::depth_color;
 use super::hub::Hub;
+use super::keep_out_scene;
 use super::tick_copy::TickCopy;
 use crate::config::LiveSection;
 use crate::run::status::{Status, unix_s};
@@ -112,6 +113,9 @@ impl Encoder {
         }
         if let Some(Ok(grid)) = copy.map.as_ref().map(|map| messages::grid(map, time_ns)) {
             self.put(Topic::Map, &grid);
+        }
+        if let Some(areas_m) = &copy.areas_m {
+            self.put(Topic::KeepOut, &keep_out_scene::scene(areas_m, time_ns));
         }
         for event in &copy.events {
             self.put(Topic::Events, &messages::log(event, time_ns));

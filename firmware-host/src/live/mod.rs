@@ -9,7 +9,9 @@
 mod channels;
 mod depth_color;
 mod encode;
+mod hand;
 mod hub;
+mod keep_out_scene;
 mod order_handler;
 mod rate;
 mod socket;
@@ -23,20 +25,25 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use hal::{CameraModel, Pose3};
+use runtime::exploration::PolicyKind;
 use runtime::operator::OperatorOrder;
 use runtime::robot::Robot;
 use runtime::session::{Devices, Session};
+use runtime::task::AreaChange;
 use runtime::tick::{Decision, TickInput};
 
 use crate::config::Config;
 use crate::control_panel::ControlPanel;
 use crate::failure;
+use crate::keep_out;
 use crate::map::KeptMap;
 use crate::run::status::Status;
 use encode::{Encoder, Item};
+use hand::DRIVE_WITHIN;
 use hub::Hub;
+pub use order_handler::Abilities;
 use order_handler::{LoopOrder, OrderHandler};
 use socket::Server;
 use tick_copy::Copies;
@@ -75,6 +82,19 @@ pub fn socket_of(argument: Option<&Path>, config: &Config) -> Option<PathBuf> {
     argument.map(Path::to_path_buf).or_else(|| configured.map(PathBuf::from))
 }
 
+/// What the orders of a run with this map and this policy can do.
+///
+/// # Errors
+/// A policy that would enter the areas which were drawn on the map.
+pub fn abilities(map: Option<&KeptMap>, policy: PolicyKind, config: &Config) -> Result<Abilities> {
+    let can_keep_out = keep_out::can_keep_out(policy, config);
+    let plans_paths = can_keep_out.is_ok();
+    if map.is_some_and(|map| map.area_changes().next().is_some()) {
+        can_keep_out.context("areas are drawn on the map")?;
+    }
+    Ok(Abilities { keeps_map: map.is_some(), plans_paths })
+}
+
 impl Live {
     /// Opens the socket and starts the threads.
     ///
@@ -84,13 +104,13 @@ impl Live {
         path: &Path,
         config: &Config,
         panel: ControlPanel,
-        keeps_map: bool,
+        can: Abilities,
     ) -> Result<Self> {
         let hub = Arc::new(Hub::default());
         let (queue, items) = sync_channel(QUEUE);
         let (order_sender, orders) = sync_channel(ORDERS);
         let (note_sender, notes) = sync_channel(ORDERS);
-        let handler = OrderHandler::new(panel.clone(), order_sender, note_sender, keeps_map);
+        let handler = OrderHandler::new(panel.clone(), order_sender, note_sender, can);
         let server = Server::start(path, Arc::clone(&hub), Arc::new(handler))?;
         let mounts = Mounts {
             camera: config.camera.model(),
@@ -112,12 +132,16 @@ impl Live {
         let mut map = map;
         while let Ok(order) = self.orders.try_recv() {
             match order {
-                LoopOrder::Task(task) => {
+                LoopOrder::Drive(_, when) if when.elapsed() > DRIVE_WITHIN => {
+                    tracing::warn!("an order to drive came too late and is not carried out");
+                }
+                LoopOrder::Task(task) | LoopOrder::Drive(task, _) => {
                     // The place was checked when the order was read.
                     if let Err(error) = session.give(task) {
                         tracing::error!("{error}");
                     }
                 }
+                LoopOrder::Area(change) => change_areas(change, session, map.as_deref_mut()),
                 LoopOrder::SaveMap => {
                     let saved = map.as_mut().map(|map| map.save_aside(session.robot()));
                     if let Some(Err(error)) = saved {
@@ -154,5 +178,21 @@ impl Live {
         {
             self.dropped += 1;
         }
+    }
+}
+
+/// Closes or opens areas, and keeps them with the map.
+fn change_areas<D: Devices>(
+    change: AreaChange,
+    session: &mut Session<D>,
+    map: Option<&mut KeptMap>,
+) {
+    // The corners were checked when the order was read.
+    if let Err(error) = session.change_areas(change) {
+        tracing::error!("{error}");
+        return;
+    }
+    if let Some(Err(error)) = map.map(|map| map.change_areas(change)) {
+        tracing::error!("the closed areas are not kept: {}", failure::sentence(&error));
     }
 }

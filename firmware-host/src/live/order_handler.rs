@@ -1,13 +1,15 @@
 //! Takes the orders of all clients: judges them, does what cannot wait, passes the rest on to the loop, and notes every one.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use live_link::{Answer, LineError, Order, OrderLine};
 use runtime::operator::OperatorOrder;
-use runtime::task::Task;
+use runtime::task::{AreaChange, Task};
 
+use super::hand::Hand;
 use super::rate::{Bucket, pause};
 use crate::control_panel::{ControlPanel, Plane};
 
@@ -17,12 +19,26 @@ const BURST: f64 = 20.0;
 /// The safety plane answers a stop within two steps. This is waited for its answer.
 const STOP_ANSWERS_WITHIN: Duration = Duration::from_millis(250);
 const LOOK_EVERY: Duration = Duration::from_millis(1);
+/// A person draws fewer areas in a run. The planner reads all of them for each path.
+const MOST_AREAS: usize = 100;
 
 /// An order that the exploration loop carries out between two ticks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LoopOrder {
     Task(Task),
+    /// A drive by hand, and when it was ordered.
+    Drive(Task, Instant),
+    Area(AreaChange),
     SaveMap,
+}
+
+/// What the run can do.
+#[derive(Debug, Clone, Copy)]
+pub struct Abilities {
+    /// It keeps a map in a file.
+    pub keeps_map: bool,
+    /// Its policy drives along planned paths only.
+    pub plans_paths: bool,
 }
 
 /// Takes orders.
@@ -30,8 +46,10 @@ pub struct OrderHandler {
     panel: ControlPanel,
     to_loop: SyncSender<LoopOrder>,
     notes: SyncSender<OperatorOrder>,
-    keeps_map: bool,
+    can: Abilities,
     rate: Mutex<Bucket>,
+    hand: Mutex<Hand>,
+    areas: AtomicUsize,
 }
 
 impl OrderHandler {
@@ -40,18 +58,41 @@ impl OrderHandler {
         panel: ControlPanel,
         to_loop: SyncSender<LoopOrder>,
         notes: SyncSender<OperatorOrder>,
-        keeps_map: bool,
+        can: Abilities,
     ) -> Self {
         let rate = Mutex::new(Bucket::new(ORDERS_PER_S, BURST));
-        Self { panel, to_loop, notes, keeps_map, rate }
+        let hand = Mutex::default();
+        Self { panel, to_loop, notes, can, rate, hand, areas: AtomicUsize::new(0) }
     }
 
     /// Carries an order out or refuses it.
     pub fn take(&self, line: &OrderLine) -> Answer {
+        if let (Order::Drive { .. }, Some(task)) = (line.order, line.order.task()) {
+            return self.take_drive(line, task);
+        }
         let within_rate = self.is_within_rate();
         let outcome = self.judge(line, within_rate).and_then(|()| self.carry_out(line.order));
         // What is over the rate is not noted either, otherwise a flood of orders fills the recording.
-        if within_rate {
+        self.answer(line, outcome, within_rate)
+    }
+
+    /// Orders of a drive by hand come ten times a second, and only the first one is noted.
+    fn take_drive(&self, line: &OrderLine, task: Task) -> Answer {
+        let drives = self.drive(line, task);
+        let is_noted = drives.clone().unwrap_or_else(|_| self.is_within_rate());
+        let outcome = drives.map(|_| "the robot drives as far as it is safe".to_owned());
+        self.answer(line, outcome, is_noted)
+    }
+
+    fn drive(&self, line: &OrderLine, task: Task) -> Result<bool, String> {
+        self.judge(line, true)?;
+        let now = Instant::now();
+        let begins = lock(&self.hand).take(&line.who, now)?;
+        self.pass(LoopOrder::Drive(task, now), "").map(|_| begins)
+    }
+
+    fn answer(&self, line: &OrderLine, outcome: Result<String, String>, is_noted: bool) -> Answer {
+        if is_noted {
             self.note(OperatorOrder {
                 who: line.who.clone(),
                 role: Some(line.role),
@@ -102,15 +143,46 @@ impl OrderHandler {
                 self.panel.arm();
                 Ok("the safety plane arms the robot when scanner and wheels are well".to_owned())
             }
-            Order::SaveMap if !self.keeps_map => {
+            Order::SaveMap if !self.can.keeps_map => {
                 Err("this run keeps no map: start it with --map FILE".to_owned())
             }
             Order::SaveMap => self.pass(LoopOrder::SaveMap, "the map is written to its file"),
-            Order::Pause | Order::Resume | Order::GoTo { .. } | Order::Return => {
+            Order::KeepOut { .. } | Order::OpenAreas => {
+                let Some(change) = order.area() else { return Err("not an area".to_owned()) };
+                self.change_areas(change)
+            }
+            Order::Pause
+            | Order::Resume
+            | Order::GoTo { .. }
+            | Order::Return
+            | Order::Drive { .. } => {
                 let Some(task) = order.task() else { return Err("not a task".to_owned()) };
                 self.pass(LoopOrder::Task(task), "the robot takes it with its next tick")
             }
         }
+    }
+
+    fn change_areas(&self, change: AreaChange) -> Result<String, String> {
+        if !self.can.plans_paths {
+            return Err("this run's policy plans no paths and would enter closed areas".to_owned());
+        }
+        let count = match change {
+            AreaChange::OpenAll => 0,
+            AreaChange::Close { .. } => self.areas.load(Ordering::Relaxed) + 1,
+        };
+        if count > MOST_AREAS {
+            return Err(format!("{MOST_AREAS} areas are closed already: open them first"));
+        }
+        let says = match (change, self.can.keeps_map) {
+            (AreaChange::OpenAll, _) => "all areas that were drawn are open with the next tick",
+            (_, true) => "the robot plans around it from its next tick on; it is kept with the map",
+            (_, false) => {
+                "the robot plans around it until this run ends; with --map FILE it is kept"
+            }
+        };
+        let done = self.pass(LoopOrder::Area(change), says)?;
+        self.areas.store(count, Ordering::Relaxed);
+        Ok(done)
     }
 
     /// Says only then that the robot is stopped when the safety plane has.
@@ -144,9 +216,12 @@ impl OrderHandler {
     }
 
     fn is_within_rate(&self) -> bool {
-        let mut rate = self.rate.lock().unwrap_or_else(PoisonError::into_inner);
-        rate.take(Instant::now())
+        lock(&self.rate).take(Instant::now())
     }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
@@ -166,12 +241,16 @@ mod tests {
     }
 
     fn fixture(keeps_map: bool) -> Fixture {
+        able(Abilities { keeps_map, plans_paths: true })
+    }
+
+    fn able(can: Abilities) -> Fixture {
         let panel = ControlPanel::default();
         let safety = PanelReader::new(panel.clone());
         let (loop_sender, to_loop) = sync_channel(2);
         let (note_sender, notes) = sync_channel(100);
         Fixture {
-            handler: OrderHandler::new(panel, loop_sender, note_sender, keeps_map),
+            handler: OrderHandler::new(panel, loop_sender, note_sender, can),
             safety,
             to_loop,
             notes,
@@ -224,6 +303,40 @@ mod tests {
         assert!(fixture.to_loop.try_recv().is_err());
         let orders = fixture.safety.orders();
         assert!(orders.request.is_none() && !orders.emergency_stop);
+    }
+
+    #[test]
+    fn a_drive_by_hand_goes_to_the_loop_each_time_and_is_noted_once() {
+        let fixture = fixture(false);
+        let order = Order::Drive { linear_mps: 0.2, angular_radps: 0.1 };
+        for _ in 0..5 {
+            let answer = fixture.handler.take(&line(Role::Steer, order));
+            assert!(answer.accepted, "{answer:?}");
+            let Ok(LoopOrder::Drive(task, _)) = fixture.to_loop.try_recv() else { panic!() };
+            assert_eq!(Some(task), order.task());
+        }
+        assert_eq!(fixture.notes.try_iter().count(), 1);
+        let other = OrderLine { who: "another".to_owned(), ..line(Role::Steer, order) };
+        assert!(fixture.handler.take(&other).text.contains("tester drives"));
+        assert!(fixture.notes.recv().unwrap().refused.is_some());
+    }
+
+    #[test]
+    fn areas_are_passed_on_up_to_a_number_and_refused_without_a_planner() {
+        let close = Order::KeepOut { corners_m: [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]] };
+        let fixture = fixture(false);
+        // The rate of orders is not what is tested here.
+        let take = |order: Order| fixture.handler.change_areas(order.area().unwrap());
+        for _ in 0..MOST_AREAS {
+            assert!(take(close).unwrap().contains("until this run ends"));
+            assert!(matches!(fixture.to_loop.try_recv(), Ok(LoopOrder::Area(_))));
+        }
+        assert!(take(close).unwrap_err().contains("open them first"));
+        take(Order::OpenAreas).unwrap();
+        take(close).unwrap();
+        let random = able(Abilities { keeps_map: true, plans_paths: false });
+        let answer = random.handler.take(&line(Role::Steer, close));
+        assert!(!answer.accepted && answer.text.contains("plans no paths"), "{answer:?}");
     }
 
     #[test]

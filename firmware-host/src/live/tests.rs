@@ -13,10 +13,12 @@ use runtime::safety::SafetyState;
 
 use super::channels::Topic;
 use super::hub::{Hub, MOST_CLIENTS};
-use super::order_handler::OrderHandler;
+use super::order_handler::{Abilities, OrderHandler};
 use super::rate::pause;
 use super::socket::Server;
 use crate::control_panel::{ControlPanel, PanelReader};
+
+const CANNOT: Abilities = Abilities { keeps_map: false, plans_paths: false };
 
 struct Served {
     dir: tempfile::TempDir,
@@ -32,7 +34,7 @@ fn serve() -> Served {
     let panel = ControlPanel::default();
     let safety = PanelReader::new(panel.clone());
     let (note_sender, notes) = sync_channel(100);
-    let handler = OrderHandler::new(panel, sync_channel(9).0, note_sender, false);
+    let handler = OrderHandler::new(panel, sync_channel(9).0, note_sender, CANNOT);
     let server =
         Server::start(&dir.path().join("live.sock"), Arc::clone(&hub), Arc::new(handler)).unwrap();
     Served { dir, hub, safety, notes, server }
@@ -97,8 +99,12 @@ fn the_socket_is_its_owners_alone_and_goes_with_the_server() {
 fn a_socket_that_another_robot_serves_and_a_file_are_left_alone() {
     let served = serve();
     let start = |path: &std::path::Path| {
-        let handler =
-            OrderHandler::new(ControlPanel::default(), sync_channel(1).0, sync_channel(1).0, false);
+        let handler = OrderHandler::new(
+            ControlPanel::default(),
+            sync_channel(1).0,
+            sync_channel(1).0,
+            CANNOT,
+        );
         Server::start(path, Arc::default(), Arc::new(handler)).err().unwrap().to_string()
     };
     assert!(start(&served.dir.path().join("live.sock")).contains("another robot"));

@@ -11,6 +11,7 @@ use runtime::tick::{Decision, TickInput};
 
 use super::channels::Topic;
 use super::hub::Hub;
+use super::keep_out_scene;
 use super::rate::Pulse;
 use super::words::Now;
 use crate::config::LiveSection;
@@ -19,6 +20,8 @@ use crate::run::status::unix_s;
 
 /// The path changes rarely, and clients that connect late need it.
 const PATH_HZ: f64 = 5.0;
+/// The closed areas, likewise. A change is shown at once.
+const AREAS_HZ: f64 = 1.0;
 
 /// A tick, as far as some client wants it.
 #[derive(Debug, Default)]
@@ -32,6 +35,7 @@ pub struct TickCopy {
     pub scan: Option<LaserScan>,
     pub path_m: Option<Vec<[f64; 2]>>,
     pub map: Option<MapView>,
+    pub areas_m: Option<Vec<Vec<[f64; 2]>>>,
     pub frame: Option<RgbImage>,
     pub depth: Option<DepthMap>,
     pub events: Vec<Event>,
@@ -43,6 +47,7 @@ pub struct Copies {
     scan: Pulse,
     path: Pulse,
     map: Pulse,
+    areas: Pulse,
     camera: Pulse,
     depth: Pulse,
     /// The run's clock at 0, in nanoseconds since 1970. A simulation has a clock of its own.
@@ -57,6 +62,7 @@ impl Copies {
             scan: Pulse::of_hz(config.scan_hz),
             path: Pulse::of_hz(PATH_HZ),
             map: Pulse::of_hz(config.map_hz),
+            areas: Pulse::of_hz(AREAS_HZ),
             camera: Pulse::of_hz(config.camera_hz),
             depth: Pulse::of_hz(config.depth_hz),
             epoch_ns: None,
@@ -92,6 +98,13 @@ impl Copies {
         }
         if self.hub.wants(Topic::Map) && (self.hub.is_fresh(Topic::Map) || self.map.is_due(at)) {
             copy.map = map_view(robot.map());
+        }
+        if self.hub.wants(Topic::KeepOut)
+            && (self.hub.is_fresh(Topic::KeepOut)
+                || !input.areas.is_empty()
+                || self.areas.is_due(at))
+        {
+            copy.areas_m = Some(keep_out_scene::areas_m(robot.explorer().keep_out()));
         }
         if let Some(view) = input.frame.filter(|_| self.hub.wants(Topic::Camera))
             && self.camera.is_due(at)

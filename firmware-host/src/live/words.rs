@@ -34,6 +34,9 @@ pub struct Now {
     /// The command in force.
     linear_mps: f64,
     angular_radps: f64,
+    /// The fastest that the robot may be driven by hand.
+    most_mps: f64,
+    most_radps: f64,
     /// Time that the tick took, milliseconds.
     tick_ms: f64,
     /// Ticks that the live view did not get because it was too slow.
@@ -69,6 +72,10 @@ struct Memory {
     /// The robot stands because of its task.
     stands: bool,
     goal: Option<(GoalReason, [f64; 2])>,
+    /// A person drives the robot by hand.
+    by_hand: bool,
+    /// The robot is in an area that it keeps out of.
+    in_closed_area: bool,
 }
 
 impl StateTracker {
@@ -120,8 +127,11 @@ impl StateTracker {
         self.memory.stands = explorer.stands();
         self.memory.is_done = explorer.is_done();
         self.memory.goal = explorer.goal().map(|goal| (goal.why, goal.target_m));
-        let words = self.memory.words();
+        self.memory.by_hand = explorer.is_driven_by_hand();
         let Pose2 { x_m, y_m, yaw_rad } = decision.t_map_base();
+        self.memory.in_closed_area = explorer.keep_out().contains([x_m, y_m]);
+        let words = self.memory.words();
+        let [most_mps, most_radps] = robot.speeds();
         let sent = decision.sent.unwrap_or_default();
         let since_ns = input.time_ns.saturating_sub(self.began_ns.unwrap_or(input.time_ns));
         Now {
@@ -137,6 +147,8 @@ impl StateTracker {
             goal: self.memory.goal.map(|(why, [x_m, y_m])| Goal { x_m, y_m, why: why.name() }),
             linear_mps: sent.linear_mps,
             angular_radps: sent.angular_radps,
+            most_mps,
+            most_radps,
             tick_ms: took.as_secs_f64() * 1e3,
             dropped,
         }
@@ -196,10 +208,14 @@ impl Memory {
         if self.without_frames {
             return stands("Stopped: no camera image has come for too long.");
         }
+        if self.by_hand {
+            let slow = if self.plane == Plane::Slow { ", slowly: an obstacle is near" } else { "" };
+            return drives(format!("Driven by hand{slow}."));
+        }
         if self.stands_lost {
             return stands("Lost, and it does not recognize this place. Move it to another place.");
         }
-        if let Some(why) = self.lost {
+        if let Some(why) = self.lost.filter(|_| !self.stands) {
             let why = lost_reason(why);
             return drives(format!("Searches for its place in the map: {why}."));
         }
@@ -210,6 +226,9 @@ impl Memory {
                     "Stands where it was sent, or found no way there. Press Resume to explore."
                 }
                 Some(Task::Return) => "Stands where the run began. Press Resume to explore.",
+                Some(Task::Drive { .. }) => {
+                    "Stands where it was driven by hand. Press Resume to explore."
+                }
                 _ => "Done: it has seen all floor that it can reach, and is back at its start.",
             });
         }
@@ -221,6 +240,10 @@ impl Memory {
             return drives("It has seen all floor that it can reach.".to_owned());
         }
         match self.no_goal {
+            Some(NoGoalReason::StartBlocked) if self.in_closed_area => drives(
+                "It is in an area that it keeps out of. Drive it out by hand, or open the areas."
+                    .to_owned(),
+            ),
             Some(NoGoalReason::StartBlocked) => {
                 drives("Looks around: it knows no free floor under itself yet.".to_owned())
             }
@@ -267,6 +290,17 @@ mod tests {
         assert_eq!(paused.words(), stands("Paused. Press Resume to go on."));
         let disarmed = Memory { plane: Plane::Disarmed, ..paused };
         assert!(disarmed.words().needs_person);
+    }
+
+    #[test]
+    fn a_robot_that_is_driven_by_hand_says_so_and_afterwards_why_it_stands() {
+        let driven = Memory { by_hand: true, lost: Some(LostReason::Carried), ..memory() };
+        assert_eq!(driven.words(), drives("Driven by hand.".to_owned()));
+        let task = Some(Task::Drive { linear_mps: 0.1, angular_radps: 0.0 });
+        let words = Memory { stands: true, task, by_hand: false, ..driven.clone() }.words();
+        assert!(words.stands && words.text.contains("driven by hand"), "{words:?}");
+        let stopped = Memory { plane: Plane::Fault(FaultReason::EmergencyStop), ..driven };
+        assert!(stopped.words().needs_person);
     }
 
     #[test]

@@ -7,7 +7,9 @@ use anyhow::{Context, Result, bail};
 use hal::ScanGeometry;
 use runtime::recording::lost_reason;
 use runtime::robot::Robot;
+use runtime::task::AreaChange;
 
+use super::drawn_areas::DrawnAreas;
 use super::file::{About, MapFile};
 use crate::config::Config;
 
@@ -20,6 +22,7 @@ pub struct KeptMap {
     loaded: Option<String>,
     /// The scanner that the loaded map was made with.
     scanner: Option<ScanGeometry>,
+    areas: DrawnAreas,
     /// Writes the map during the run.
     writing: Option<JoinHandle<()>>,
 }
@@ -36,6 +39,7 @@ impl KeptMap {
             scanner_height_m,
             loaded: None,
             scanner: None,
+            areas: DrawnAreas::beside(path)?,
             writing: None,
         };
         if !path.exists() {
@@ -65,6 +69,19 @@ impl KeptMap {
     #[must_use]
     pub fn loaded(&self) -> Option<&str> {
         self.loaded.as_deref()
+    }
+
+    /// The changes that close the areas which were drawn on this map in earlier runs.
+    pub fn area_changes(&self) -> impl Iterator<Item = AreaChange> {
+        self.areas.changes()
+    }
+
+    /// Keeps a change of the areas for the next runs.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn change_areas(&mut self, change: AreaChange) -> Result<()> {
+        self.areas.change(change)
     }
 
     /// Compares the scanner with that of the loaded map, before the robot gets the scan.

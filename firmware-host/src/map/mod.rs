@@ -1,5 +1,6 @@
 //! A map that stays: `firmware-host map save|show|export`, and `--map` of `explore` and `run`.
 
+mod drawn_areas;
 mod export;
 mod file;
 mod kept;

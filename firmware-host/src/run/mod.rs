@@ -123,9 +123,13 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let models =
         start.map(|(keeper, start)| LiveModels::threaded(keeper, start, &config)).transpose()?;
     let mut exploration = Exploration::new(&config, devices, robot, port, recorder, models);
+    let can = live::abilities(map.as_ref(), mission.policy, &config)?;
     let view = live::socket_of(args.live.as_deref(), &config)
-        .map(|socket| Live::start(&socket, &config, safety.panel.clone(), map.is_some()))
+        .map(|socket| Live::start(&socket, &config, safety.panel.clone(), can))
         .transpose()?;
+    for change in map.iter().flat_map(KeptMap::area_changes) {
+        exploration.session.change_areas(change)?;
+    }
     exploration.log.map = map;
     exploration.log.live = view;
     let stop_file = StopFile::open(config.run.stop_file.as_ref());

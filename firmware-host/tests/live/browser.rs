@@ -78,6 +78,46 @@ async fn the_page_shows_a_run_and_its_buttons_act() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_person_drives_by_hand_with_a_key_and_draws_an_area() {
+    let Some(program) = program() else { return };
+    let mut run = Explore::start(&["--seed", "1", "--no-recording"]);
+    let page = serve(&run).await;
+    let mut browser = Browser::start(program).await;
+    browser.resize(1280, 1100, 1.0).await;
+    browser.open(&page).await;
+    browser.wait("live data", "document.getElementById('link')?.textContent === 'live'").await;
+
+    // The key drives only in this mode, and only while it is held.
+    browser.click("#hand").await;
+    browser.wait("the pad", &is_shown("pad")).await;
+    browser.key("keyDown", "a").await;
+    browser.wait("driving", &format!("{}.startsWith('Driven by hand')", text("why"))).await;
+    browser.wait("a held pad", "document.getElementById('pad').classList.contains('held')").await;
+    browser.key("keyUp", "a").await;
+    browser
+        .wait("standing", &format!("{}.startsWith('Stands where it was driven')", text("why")))
+        .await;
+    browser.click("#hand").await;
+    browser.press_key("p").await;
+    browser.wait("a pause", &format!("{}.startsWith('Paused')", text("why"))).await;
+
+    browser.click("#draw").await;
+    browser.wait("the question", &is_shown("fence")).await;
+    let corners = [[100, 300], [200, 300], [200, 400], [100, 400]];
+    for [x, y] in corners {
+        browser.click_at(x, y).await;
+    }
+    browser.wait("four corners", &format!("{}.includes('four corners')", text("fence"))).await;
+    browser.click("#fence [type=submit]").await;
+    browser.wait("the answer", &format!("{}.startsWith('keep out: ')", text("answer"))).await;
+    browser.wait("the area", "!document.getElementById('open-areas').hidden").await;
+    browser.click("#draw").await;
+    browser.click("#open-areas").await;
+    browser.wait("no area", "document.getElementById('open-areas').hidden").await;
+    run.end();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_robot_that_is_gone_is_shown_as_lost_and_as_live_when_it_is_back() {
     let Some(program) = program() else { return };
     let mut run = Explore::start(&["--seed", "1", "--no-recording"]);

@@ -109,16 +109,29 @@ impl Browser {
              return [box.x + box.width / 2, box.y + box.height / 2]; }})()"
         );
         let middle = self.value(&middle).await;
+        self.mouse(&middle[0], &middle[1]).await;
+    }
+
+    /// Presses a mouse button at a place in the window, pixels.
+    pub async fn click_at(&mut self, x: u32, y: u32) {
+        self.mouse(&json!(x), &json!(y)).await;
+    }
+
+    async fn mouse(&mut self, x: &Value, y: &Value) {
         for kind in ["mousePressed", "mouseReleased"] {
-            let event = json!({"type": kind, "x": middle[0], "y": middle[1], "button": "left", "clickCount": 1});
+            let event = json!({"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1});
             self.call("Input.dispatchMouseEvent", event).await;
         }
     }
 
     pub async fn press_key(&mut self, key: &str) {
-        for kind in ["keyDown", "keyUp"] {
-            self.call("Input.dispatchKeyEvent", json!({"type": kind, "key": key})).await;
-        }
+        self.key("keyDown", key).await;
+        self.key("keyUp", key).await;
+    }
+
+    /// `keyDown` or `keyUp`.
+    pub async fn key(&mut self, kind: &str, key: &str) {
+        self.call("Input.dispatchKeyEvent", json!({"type": kind, "key": key})).await;
     }
 
     pub async fn screenshot(&mut self, path: &Path) {

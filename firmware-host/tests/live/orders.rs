@@ -32,6 +32,14 @@ fn recorded(run: &Explore) -> (Vec<OperatorOrder>, Vec<Task>) {
     (orders, tasks)
 }
 
+/// What `replay` says of a run.
+fn replay(run: &Explore) -> String {
+    let mut replay = Command::new(assert_cmd::cargo::cargo_bin!("firmware-host"));
+    let output = replay.arg("replay").arg(run.path("run")).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
 #[test]
 fn a_client_sees_the_run_and_its_orders_act_and_are_recorded_and_replayed() {
     let mut run = Explore::start(&["--seed", "1", "--map", "home.map"]);
@@ -73,13 +81,39 @@ fn a_client_sees_the_run_and_its_orders_act_and_are_recorded_and_replayed() {
     assert_eq!(words, expected);
     assert_eq!(orders.iter().filter(|order| order.refused.is_some()).count(), 1);
     assert_eq!(tasks, [Task::Pause, Task::Explore, Task::GoTo { x_m: 0.3, y_m: 0.0 }]);
-    let replayed = Command::new(assert_cmd::cargo::cargo_bin!("firmware-host"))
-        .arg("replay")
-        .arg(run.path("run"))
-        .output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&replayed.stdout);
-    assert!(replayed.status.success() && said.contains("mismatches=0"), "{said}");
+    let said = replay(&run);
+    assert!(said.contains("mismatches=0"), "{said}");
+}
+
+#[test]
+fn a_drive_by_hand_and_a_drawn_area_act_are_recorded_replayed_and_the_area_is_kept_with_the_map() {
+    let mut run = Explore::start(&["--seed", "1", "--map", "home.map"]);
+    let mut visitor = Visitor::come(&run.socket());
+    visitor.subscribe(&["/robot/now"]);
+    let first = visitor.wait_now("a tick", |_| true);
+    assert!(first["most_mps"].as_f64().unwrap() > 0.2);
+    let area = Order::KeepOut { corners_m: [[5.0, 0.0], [6.0, 0.0], [6.0, 1.0], [5.0, 1.0]] };
+    let kept = visitor.order(Role::Steer, area);
+    assert!(kept.accepted && kept.text.contains("kept with the map"), "{kept:?}");
+    run.wait("the file of areas", |run| run.path("home.map.keep-out.geojson").exists());
+    let rotation = Order::Drive { linear_mps: 0.0, angular_radps: 0.2 };
+    for _ in 0..15 {
+        assert!(visitor.order(Role::Steer, rotation).accepted);
+        visitor.wait_now("a tick", |now| now["why"].as_str().unwrap().starts_with("Driven"));
+    }
+    visitor.wait_now("the hand's velocity", |now| now["angular_radps"] == 0.2);
+    let words = "Stands where it was driven by hand. Press Resume to explore.";
+    visitor.wait_now("standing", |now| now["why"] == words && now["angular_radps"] == 0.0);
+    drop(visitor);
+    run.end();
+
+    let (orders, tasks) = recorded(&run);
+    let words: Vec<&str> = orders.iter().map(|order| order.what.as_str()).collect();
+    let close = "keep out of (5.00, 0.00), (6.00, 0.00), (6.00, 1.00), (5.00, 1.00) m";
+    assert_eq!(words, [close, "drive by hand"]);
+    assert!(tasks.len() > 3 && tasks.iter().all(|task| Some(*task) == rotation.task()));
+    let said = replay(&run);
+    assert!(said.contains("mismatches=0"), "{said}");
 }
 
 #[test]

@@ -1,6 +1,7 @@
-//! A drive to one place, at the end of which the robot stands: a task of the operator, or the return to the start.
+//! What replaces the policy for a while, and leaves the robot standing: a drive to one place, for the operator or back to the
+//! start, and a drive by hand.
 
-use hal::{Pose2, wrap_angle};
+use hal::{Pose2, Twist2, wrap_angle};
 use serde::{Deserialize, Serialize};
 
 use super::blacklist::distance_m;
@@ -10,6 +11,7 @@ use super::goal::Goal;
 use super::navigator::Navigator;
 use crate::event::{DropReason, Event, GoalReason};
 use crate::planning::{Follower, Primitive, Progress};
+use crate::tick::Command;
 
 /// The robot tries this often to get there, and waits this long in between: a door may open, a person may pass.
 const ATTEMPTS: u32 = 3;
@@ -34,9 +36,14 @@ enum Stage {
     Facing,
     /// It is there, or has given up.
     Standing,
+    /// It drives as a person says, until this time.
+    ByHand {
+        command: Command,
+        until_ns: u64,
+    },
 }
 
-/// A place to drive to, with the progress.
+/// A place to drive to, with the progress; or a drive by hand.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Errand {
     why: GoalReason,
@@ -66,6 +73,26 @@ impl Errand {
     /// A drive to a place in `map`, metres.
     pub(super) fn to_place(target_m: [f64; 2]) -> Self {
         Self { target_m, stage: Stage::Waiting { until_ns: 0 }, ..Self::HERE }
+    }
+
+    /// A drive by hand at this velocity, until a time.
+    pub(super) fn by_hand(command: Command, until_ns: u64) -> Self {
+        Self { stage: Stage::ByHand { command, until_ns }, ..Self::HERE }
+    }
+
+    /// Whether it is a drive by hand that is not over.
+    pub(super) fn is_by_hand(&self) -> bool {
+        matches!(self.stage, Stage::ByHand { .. })
+    }
+
+    /// The velocity of a drive by hand; `None` for any other errand, and when the time of the drive is over.
+    pub(super) fn hand_velocity(&mut self, time_ns: u64) -> Option<Twist2> {
+        let Stage::ByHand { command, until_ns } = self.stage else { return None };
+        if time_ns >= until_ns {
+            self.stage = Stage::Standing;
+            return None;
+        }
+        Some(command.into())
     }
 
     /// A return to a pose in `map`.
@@ -124,7 +151,7 @@ impl Errand {
         match self.stage {
             Stage::Driving { goal, plan_at } => self.drive(goal, plan_at, senses, means, events),
             Stage::Facing => self.face(&senses.pose),
-            Stage::Waiting { .. } | Stage::Standing => Primitive::Stay,
+            Stage::Waiting { .. } | Stage::Standing | Stage::ByHand { .. } => Primitive::Stay,
         }
     }
 

@@ -1,6 +1,6 @@
 //! Tasks, the return to the start, and the end of exploration, in a round hall that is known from the beginning.
 
-use hal::{LaserScan, Pose2, Range, ScanGeometry, wrap_angle};
+use hal::{LaserScan, Pose2, Range, ScanGeometry, Twist2, wrap_angle};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
@@ -8,7 +8,8 @@ use super::{ExplorationConfig, Explorer, Observations, PolicyKind};
 use crate::event::{DropReason, Event, GoalReason};
 use crate::mapping::{MapConfig, OccupancyGrid};
 use crate::planning::{FollowerConfig, PlanConfig, Primitive};
-use crate::task::Task;
+use crate::snapshot::State;
+use crate::task::{AreaChange, HOLD_NS, Task};
 
 const START: Pose2 = Pose2 { x_m: 0.3, y_m: -0.2, yaw_rad: 0.5 };
 
@@ -47,10 +48,14 @@ impl Drive {
         Self { explorer, map: hall(), pose: START, tick: 0, events: Vec::new() }
     }
 
+    fn time_ns(&self) -> u64 {
+        self.tick * 100_000_000
+    }
+
     fn step(&mut self) -> Primitive {
         let senses = Observations {
             tick: self.tick,
-            time_ns: self.tick * 100_000_000,
+            time_ns: self.time_ns(),
             pose: self.pose,
             map: &self.map,
             frame_maps: None,
@@ -70,7 +75,7 @@ impl Drive {
     }
 
     fn begin(&mut self, task: Task) {
-        self.explorer.begin(task, &mut self.events);
+        self.explorer.begin(task, self.time_ns(), &mut self.events);
     }
 
     /// The last primitives of a drive over some ticks.
@@ -190,4 +195,67 @@ fn places_move_with_the_map() {
     let moved = shift.compose(&START);
     assert!(drive.pose.distance_m(&moved) < 0.1, "{:?}", drive.pose);
     assert!(wrap_angle(drive.pose.yaw_rad - moved.yaw_rad).abs() < 0.06, "{:?}", drive.pose);
+}
+
+#[test]
+fn a_robot_that_is_driven_by_hand_keeps_the_velocity_until_0_4_s_after_the_last_order() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.steps(20);
+    let forward = Twist2 { linear_mps: 0.2, angular_radps: -0.3 };
+    let order =
+        Task::Drive { linear_mps: forward.linear_mps, angular_radps: forward.angular_radps };
+    for _ in 0..10 {
+        drive.begin(order);
+        assert_eq!(drive.explorer.hand_velocity(drive.time_ns()), Some(forward));
+        assert_eq!(drive.step(), Primitive::Stay);
+        assert!(!drive.explorer.stands());
+    }
+    let last_ns = drive.time_ns() - 100_000_000;
+    assert_eq!(drive.explorer.hand_velocity(last_ns + HOLD_NS - 1), Some(forward));
+    assert_eq!(drive.explorer.hand_velocity(last_ns + HOLD_NS), None);
+    assert!(drive.explorer.stands() && drive.stands());
+    drive.begin(Task::Explore);
+    assert!(!drive.stands());
+}
+
+#[test]
+fn a_hand_that_lets_go_with_an_order_to_stand_stops_the_robot_at_once() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.begin(Task::Drive { linear_mps: 0.2, angular_radps: 0.0 });
+    drive.begin(Task::Drive { linear_mps: 0.0, angular_radps: 0.0 });
+    assert_eq!(drive.explorer.hand_velocity(drive.time_ns()), Some(Twist2::ZERO));
+}
+
+/// A line that a robot at [`START`] cannot pass.
+const FENCE: AreaChange =
+    AreaChange::Close { corners_m: [[-0.5, -2.0], [-0.5, 2.0], [-0.5, 2.0], [-0.5, -2.0]] };
+
+#[test]
+fn a_line_that_is_drawn_while_the_robot_drives_is_not_crossed_until_it_is_opened() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    let beyond = Task::GoTo { x_m: -1.0, y_m: 0.0 };
+    drive.begin(beyond);
+    drive.steps(40);
+    assert!(drive.explorer.goal().is_some(), "it is on its way");
+    drive.explorer.change_areas(FENCE);
+    drive.steps(700);
+    assert_eq!(drive.count(&Event::GoalDropped { why: DropReason::Unreachable }), 3);
+    assert!(drive.stands() && drive.pose.x_m > -0.5, "{:?}", drive.pose);
+    drive.explorer.change_areas(AreaChange::OpenAll);
+    drive.begin(beyond);
+    drive.steps(600);
+    assert!(drive.pose.distance_m(&Pose2::new(-1.0, 0.0, 0.0)) < 0.1, "{:?}", drive.pose);
+}
+
+#[test]
+fn drawn_areas_and_a_drive_by_hand_are_in_a_snapshot() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.explorer.change_areas(FENCE);
+    drive.begin(Task::Drive { linear_mps: 0.1, angular_radps: 0.0 });
+    let mut bytes = Vec::new();
+    drive.explorer.write(&mut bytes);
+    let mut restored = Drive::new(ExplorationConfig::default());
+    restored.explorer.read(&mut bytes.as_slice()).unwrap();
+    assert_eq!(restored.explorer.keep_out(), drive.explorer.keep_out());
+    assert!(restored.explorer.hand_velocity(HOLD_NS - 1).is_some());
 }

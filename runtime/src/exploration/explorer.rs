@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 
-use hal::Pose2;
+use hal::{Pose2, Twist2};
 use rand_pcg::Pcg64Mcg;
 
 use super::blacklist::{Blacklist, distance_m};
@@ -16,9 +16,12 @@ use super::goal::Goal;
 use super::navigator::Navigator;
 use crate::event::{DropReason, Event, GoalReason, NoGoalReason};
 use crate::mapping::{CellState, OccupancyGrid, SingleFrameMap};
-use crate::planning::{ConfigError, Follower, FollowerConfig, PlanConfig, Primitive, Progress};
+use crate::planning::{
+    ConfigError, Follower, FollowerConfig, KeepOut, PlanConfig, Primitive, Progress,
+};
 use crate::snapshot::remembers;
-use crate::task::Task;
+use crate::task::{AreaChange, HOLD_NS, Task};
+use crate::tick::Command;
 
 /// Ticks until the next attempt to choose a goal when there is none: one move of the heuristic
 /// policy, which drives meanwhile.
@@ -68,7 +71,7 @@ pub struct Explorer {
     /// Where the robot was when it first decided, in `map`.
     start: Option<Pose2>,
     ending: Ending,
-    /// A drive to one place. While there is one, the policy waits.
+    /// While there is one, the policy waits.
     errand: Option<Errand>,
 }
 
@@ -134,8 +137,8 @@ impl Explorer {
         self.errand.as_ref().is_some_and(Errand::is_standing)
     }
 
-    /// Takes a task of the operator, in place of the one before.
-    pub fn begin(&mut self, task: Task, events: &mut Vec<Event>) {
+    /// Takes a task of the operator at `time_ns`, in place of the one before.
+    pub fn begin(&mut self, task: Task, time_ns: u64, events: &mut Vec<Event>) {
         if self.goal().is_some() {
             events.push(Event::GoalDropped { why: DropReason::Task });
         }
@@ -147,7 +150,34 @@ impl Explorer {
             // Before its first decision the robot is at its start.
             Task::Pause => Some(Errand::HERE),
             Task::Return => Some(self.start.as_ref().map_or(Errand::HERE, Errand::back_to)),
+            Task::Drive { linear_mps, angular_radps } => {
+                let command = Command { linear_mps, angular_radps };
+                Some(Errand::by_hand(command, time_ns.saturating_add(HOLD_NS)))
+            }
         };
+    }
+
+    /// Closes or opens areas, and plans a new path with the next step.
+    pub fn change_areas(&mut self, change: AreaChange) {
+        self.navigator.change_areas(change);
+        self.move_places(|place_m| place_m);
+    }
+
+    /// The areas that the robot keeps out of.
+    #[must_use]
+    pub fn keep_out(&self) -> &KeepOut {
+        self.navigator.keep_out()
+    }
+
+    /// Whether a person drives the robot by hand.
+    #[must_use]
+    pub fn is_driven_by_hand(&self) -> bool {
+        self.errand.as_ref().is_some_and(Errand::is_by_hand)
+    }
+
+    /// The velocity at which a person drives the robot by hand; `None` if no person does at `time_ns`.
+    pub fn hand_velocity(&mut self, time_ns: u64) -> Option<Twist2> {
+        self.errand.as_mut().and_then(|errand| errand.hand_velocity(time_ns))
     }
 
     /// The drive back to the start, if exploration has ended and the robot is to return then.
@@ -499,7 +529,7 @@ fn frontier_is_left(map: &OccupancyGrid, place_m: [f64; 2]) -> bool {
 }
 
 remembers!(
-    Explorer: rng, blind, warm_up, mode, mode_since, goal, follower, blacklist, recent_positions_m, plan_at, choose_at, start, ending, errand
+    Explorer: rng, blind, warm_up, mode, mode_since, goal, follower, blacklist, recent_positions_m, plan_at, choose_at, start, ending, errand, navigator
 );
 
 #[cfg(test)]

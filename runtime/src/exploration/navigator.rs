@@ -12,6 +12,8 @@ use crate::mapping::{
 use crate::planning::{
     ConfigError, Costmap, Follower, KeepOut, NoPath, PlanConfig, Planner, Reach,
 };
+use crate::snapshot::remembers;
+use crate::task::AreaChange;
 
 /// A frontier's approach cell may lie in an obstacle's margin. The nearest reachable cell within
 /// this radius replaces it, metres.
@@ -72,6 +74,11 @@ impl Navigator {
             keep_out: self.costmap.keep_out(),
             cell_m: map.cell_m(),
         })
+    }
+
+    /// Closes or opens areas.
+    pub(super) fn change_areas(&mut self, change: AreaChange) {
+        self.costmap.change_areas(change);
     }
 
     /// The areas that a person has closed.
@@ -191,6 +198,8 @@ impl Survey<'_> {
         places
     }
 }
+
+remembers!(Navigator: costmap);
 
 #[cfg(test)]
 mod tests {

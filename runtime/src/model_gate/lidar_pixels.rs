@@ -183,6 +183,7 @@ mod tests {
                 frame: with_frame.then_some(frame),
                 truth: None,
                 task: None,
+                areas: &[],
                 orders: &[],
                 safety: &SafetyReport::default(),
             })

@@ -4,6 +4,8 @@ use super::config::{ConfigError, PlanConfig};
 use super::distance::{Distances, FAR};
 use super::keep_out::KeepOut;
 use crate::mapping::{Cell, CellBox, OccupancyGrid};
+use crate::snapshot::remembers;
+use crate::task::AreaChange;
 
 /// Weight of a free cell far from obstacles. Weights are integers in quarters of this cost.
 pub(super) const FREE: u8 = 4;
@@ -169,6 +171,11 @@ impl Costmap {
         &self.keep_out
     }
 
+    /// Closes or opens areas from the next update on.
+    pub fn change_areas(&mut self, change: AreaChange) {
+        self.keep_out.change(change);
+    }
+
     /// Sets the [`LEVEL`] flags, which let searches skip cells.
     fn mark_level(&mut self) {
         let stride = self.stride;
@@ -318,6 +325,9 @@ impl Costmap {
 fn quantised(weight: f64) -> u8 {
     (weight * f64::from(FREE)).round().clamp(f64::from(FREE), f64::from(HEAVIEST)) as u8
 }
+
+// All other fields are computed anew before they are used.
+remembers!(Costmap: keep_out);
 
 #[cfg(test)]
 mod tests {

@@ -1,32 +1,52 @@
 //! Areas that a person has closed for the robot.
 
 use crate::mapping::CellBox;
+use crate::snapshot::remembers;
+use crate::task::AreaChange;
 
 /// Polygons in `map`. Every cell that a polygon covers or touches counts as occupied for the planner; the map itself does not
 /// change.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct KeepOut {
-    /// Each with its corners in order, metres.
-    polygons_m: Vec<Vec<[f64; 2]>>,
+    /// Those of the configuration, each with its corners in order, metres.
+    configured_m: Vec<Vec<[f64; 2]>>,
+    /// Those that a person has drawn during the run.
+    drawn_m: Vec<[[f64; 2]; 4]>,
 }
+
+remembers!(KeepOut: drawn_m);
 
 impl KeepOut {
     /// Areas with these corners, in metres. An area with fewer than three corners is a point or a line.
     #[must_use]
-    pub fn new(polygons_m: Vec<Vec<[f64; 2]>>) -> Self {
-        Self { polygons_m }
+    pub fn new(configured_m: Vec<Vec<[f64; 2]>>) -> Self {
+        Self { configured_m, drawn_m: Vec::new() }
+    }
+
+    /// Closes an area, or opens those that were closed by changes.
+    pub fn change(&mut self, change: AreaChange) {
+        match change {
+            AreaChange::Close { corners_m } => self.drawn_m.push(corners_m),
+            AreaChange::OpenAll => self.drawn_m.clear(),
+        }
+    }
+
+    /// The corners of every area, metres in `map`; first those of the configuration, then those that were drawn.
+    pub fn polygons_m(&self) -> impl Iterator<Item = &[[f64; 2]]> {
+        let drawn_m = self.drawn_m.iter().map(<[[f64; 2]; 4]>::as_slice);
+        self.configured_m.iter().map(Vec::as_slice).chain(drawn_m)
     }
 
     /// Whether there is no area.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.polygons_m.is_empty()
+        self.configured_m.is_empty() && self.drawn_m.is_empty()
     }
 
     /// Whether a point in `map` lies in an area.
     #[must_use]
     pub fn contains(&self, [x_m, y_m]: [f64; 2]) -> bool {
-        self.polygons_m.iter().any(|polygon| {
+        self.polygons_m().any(|polygon| {
             let crossings = edges(polygon).filter_map(|edge| crossing_m(edge, y_m));
             crossings.filter(|crossing_m| *crossing_m <= x_m).count() % 2 == 1
         })
@@ -41,7 +61,7 @@ impl KeepOut {
         value: f32,
         row: &mut [f32],
     ) {
-        for polygon in &self.polygons_m {
+        for polygon in self.polygons_m() {
             let bottom_m = f64::from(y) * cell_m;
             let middle_m = bottom_m + 0.5 * cell_m;
             let mut crossings: Vec<f64> =
@@ -122,6 +142,20 @@ mod tests {
                 assert_eq!(*is_closed, inside, "{column} {row}");
             }
         }
+    }
+
+    #[test]
+    fn drawn_areas_are_closed_until_they_are_opened_and_configured_ones_for_ever() {
+        let triangle = vec![[-1.0, -1.0], [-0.5, -1.0], [-0.5, -0.5]];
+        let mut keep_out = KeepOut::new(vec![triangle]);
+        let configured = closed(&keep_out);
+        let corners_m = [[0.01, 0.01], [0.49, 0.01], [0.49, 0.29], [0.01, 0.29]];
+        keep_out.change(AreaChange::Close { corners_m });
+        assert!(keep_out.contains([0.2, 0.1]) && closed(&keep_out)[21][22]);
+        assert_eq!(keep_out.polygons_m().count(), 2);
+        keep_out.change(AreaChange::OpenAll);
+        assert!(!keep_out.contains([0.2, 0.1]));
+        assert_eq!(closed(&keep_out), configured);
     }
 
     #[test]

@@ -87,6 +87,9 @@ fn hash_input(hasher: &mut Hasher, input: &TickInput<'_>) {
         // The text as it is recorded. Its numbers are exact.
         hasher.update(serde_json::to_string(task).unwrap_or_default().as_bytes());
     }
+    for change in input.areas {
+        hasher.update(serde_json::to_string(change).unwrap_or_default().as_bytes());
+    }
     for order in input.orders {
         hasher.update(serde_json::to_string(order).unwrap_or_default().as_bytes());
     }

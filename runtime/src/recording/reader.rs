@@ -183,6 +183,7 @@ impl Parts {
             frame: self.frame,
             truth: self.truth,
             task: self.json.task,
+            areas: self.json.areas,
             orders: self.json.orders,
             decision: self.decision,
             snapshot: self.snapshot,

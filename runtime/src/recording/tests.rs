@@ -14,7 +14,7 @@ use crate::localization::LostReason;
 use crate::operator::{OperatorOrder, Role};
 use crate::outside_pose::{OutsideInput, OutsidePose};
 use crate::safety::SentCommand;
-use crate::task::Task;
+use crate::task::{AreaChange, Task};
 use crate::tick::{Command, Decision, SafetyReport};
 
 pub(super) fn run_header() -> RunHeader {
@@ -82,7 +82,16 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
             },
             wheel_odom: Pose2 { x_m: 0.1 * tick as f64 - 2e-3, y_m: -0.3, yaw_rad: 3.0 },
         }),
-        task: Some(Task::GoTo { x_m: 0.1 + 0.2, y_m: -1e-17 * tick as f64 }),
+        task: Some(match tick % 2 {
+            0 => Task::GoTo { x_m: 0.1 + 0.2, y_m: -1e-17 * tick as f64 },
+            _ => Task::Drive { linear_mps: -0.1, angular_radps: 1e-17 * tick as f64 },
+        }),
+        areas: vec![
+            AreaChange::OpenAll,
+            AreaChange::Close {
+                corners_m: [[0.1 + 0.2, -0.0], [tick as f64, 1.0], [2.0, 2.0], [0.0, 1e-17]],
+            },
+        ],
         orders: vec![OperatorOrder {
             who: "127.0.0.1:9".to_owned(),
             role: Some(Role::Steer),
@@ -120,6 +129,7 @@ fn bare_tick(tick: u64) -> RecordedTick {
         frame: None,
         truth: None,
         task: None,
+        areas: Vec::new(),
         orders: Vec::new(),
         safety: SafetyReport::default(),
         snapshot: None,
@@ -304,7 +314,7 @@ prop_compose! {
         outside in prop::option::of(any_outside()),
     ) -> RecordedTick {
         let scan_odom = wheel.odom;
-        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, outside, frame, truth, task: None, orders: Vec::new(), safety, decision, snapshot: None }
+        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, outside, frame, truth, task: None, areas: Vec::new(), orders: Vec::new(), safety, decision, snapshot: None }
     }
 }
 

@@ -5,7 +5,7 @@ use hal::{DepthMap, ImageView, LaserScan, PixelFormat, Pose2, WheelFeedback};
 use super::RecordingError;
 use crate::operator::OperatorOrder;
 use crate::outside_pose::OutsideInput;
-use crate::task::Task;
+use crate::task::{AreaChange, Task};
 use crate::tick::{Decision, SafetyReport, TickInput};
 
 /// An RGB8 image that owns its bytes.
@@ -40,6 +40,8 @@ pub struct RecordedTick {
     pub truth: Option<DepthMap>,
     /// What the operator asked for.
     pub task: Option<Task>,
+    /// Areas that the operator closed or opened.
+    pub areas: Vec<AreaChange>,
     /// The orders that came since the previous tick.
     pub orders: Vec<OperatorOrder>,
     /// What the safety loop did since the previous tick, with every command that it sent.
@@ -65,6 +67,7 @@ impl RecordedTick {
             frame: None,
             truth: None,
             task: None,
+            areas: Vec::new(),
             orders: Vec::new(),
             safety: SafetyReport::default(),
             decision: None,
@@ -98,6 +101,7 @@ impl RecordedTick {
             frame: frame.transpose()?,
             truth: input.truth.cloned(),
             task: input.task,
+            areas: input.areas.to_vec(),
             orders: input.orders.to_vec(),
             safety: input.safety.clone(),
             decision,
@@ -150,6 +154,7 @@ impl RecordedTick {
                 .map_err(|source| RecordingError::Frame { tick: self.tick, source })?,
             truth: self.truth.as_ref(),
             task: self.task,
+            areas: &self.areas,
             orders: &self.orders,
             safety: &self.safety,
         })

@@ -15,7 +15,7 @@ use super::topics::Topic;
 use super::views::{self, Views};
 use super::{RecordingError, image};
 use crate::operator::OperatorOrder;
-use crate::task::Task;
+use crate::task::{AreaChange, Task};
 use crate::tick::{Decision, SafetyReport};
 
 /// A chunk is closed when it holds this many bytes before compression, about one second of images at 10 Hz.
@@ -62,6 +62,8 @@ pub(super) struct TickJson {
     pub snapshot: bool,
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub task: Option<Task>,
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub areas: Vec<AreaChange>,
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub orders: Vec<OperatorOrder>,
     pub safety: SafetyReport,
@@ -190,6 +192,7 @@ impl<W: Write> RecordingWriter<W> {
             decision: tick.decision.is_some(),
             snapshot: tick.snapshot.is_some(),
             task: tick.task,
+            areas: tick.areas.clone(),
             orders: tick.orders.clone(),
             safety: tick.safety.clone(),
         };

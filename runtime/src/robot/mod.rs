@@ -323,8 +323,11 @@ impl Robot {
         let mut events = Vec::new();
         events.extend(self.new_network.take());
         events.extend(input.orders.iter().map(|order| Event::Operator { order: order.clone() }));
+        for change in input.areas {
+            self.explorer.change_areas(*change);
+        }
         if let Some(task) = input.task {
-            self.explorer.begin(task, &mut events);
+            self.explorer.begin(task, input.time_ns, &mut events);
         }
         if let Some(why) = self.refusal(input) {
             events.push(Event::InputRefused { why });
@@ -610,8 +613,15 @@ impl Robot {
         if input.safety.in_charge || frames_missing {
             return Twist2::ZERO;
         }
-        let yaw_rate = self.config.rotation_step_rad / self.config.tick_s;
+        let [forward, yaw_rate] = self.speeds();
+        if let Some(by_hand) = self.explorer.hand_velocity(input.time_ns) {
+            return on_the_same_arc(by_hand, forward, yaw_rate);
+        }
         if self.whereabouts.lost().is_some() {
+            // A person who has paused the robot may stand beside it.
+            if self.explorer.stands() {
+                return Twist2::ZERO;
+            }
             return self.lost_motion.desired(&input.wheel, input.time_ns, yaw_rate, events);
         }
         let newest_and_earlier = self.frame_maps.back().zip(self.frame_maps.front());
@@ -623,9 +633,7 @@ impl Robot {
             frame_maps: newest_and_earlier.filter(|_| self.frame_maps.len() > 1),
             bumped: std::mem::take(&mut self.bumped),
         };
-        let primitive = self.explorer.step(&observations, events);
-        let forward = self.config.forward_step_m / self.config.tick_s;
-        match primitive {
+        match self.explorer.step(&observations, events) {
             Primitive::Forward => Twist2 { linear_mps: forward, angular_radps: 0.0 },
             Primitive::TurnLeft => Twist2 { linear_mps: 0.0, angular_radps: yaw_rate },
             Primitive::TurnRight => Twist2 { linear_mps: 0.0, angular_radps: -yaw_rate },
@@ -633,6 +641,13 @@ impl Robot {
             Primitive::ArcRight => Twist2 { linear_mps: forward / 2.0, angular_radps: -yaw_rate },
             Primitive::Stay => Twist2::ZERO,
         }
+    }
+
+    /// The highest speed, m/s, and the highest yaw rate, rad/s, that the robot desires.
+    #[must_use]
+    pub fn speeds(&self) -> [f64; 2] {
+        [self.config.forward_step_m, self.config.rotation_step_rad]
+            .map(|step| step / self.config.tick_s)
     }
 
     fn localize(
@@ -741,6 +756,14 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 remembers!(
     Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
+
+/// The twist, or the fastest one within the limits that leads along the same arc.
+fn on_the_same_arc(twist: Twist2, most_mps: f64, most_radps: f64) -> Twist2 {
+    let over_v = twist.linear_mps.abs() / most_mps;
+    let over_w = twist.angular_radps.abs() / most_radps;
+    let scale = over_v.max(over_w).max(1.0).recip();
+    Twist2 { linear_mps: twist.linear_mps * scale, angular_radps: twist.angular_radps * scale }
+}
 
 /// Keeps the newest map and those of the `gap` frames before it.
 fn remember_frame_map(

@@ -24,7 +24,7 @@ use crate::outside_pose::{OutsideInput, OutsidePose};
 use crate::recording::{RecordedTick, RecordingError};
 use crate::robot::{Robot, StageTimer};
 use crate::safety::Plan;
-use crate::task::{PlaceNotFinite, Task};
+use crate::task::{AreaChange, AreaTooFar, NotFinite, Task};
 use crate::tick::{Decision, SafetyReport, TickInput};
 use wheel_history::WheelHistory;
 
@@ -80,6 +80,7 @@ pub struct Session<D> {
     wheels: WheelHistory,
     report: SafetyReport,
     task: Option<Task>,
+    areas: Vec<AreaChange>,
     outside: Option<OutsidePose>,
     orders: Vec<OperatorOrder>,
     period_ns: u64,
@@ -99,6 +100,7 @@ impl<D: Devices> Session<D> {
             wheels: WheelHistory::default(),
             report: SafetyReport::default(),
             task: None,
+            areas: Vec::new(),
             outside: None,
             orders: Vec::new(),
             period_ns,
@@ -148,6 +150,7 @@ impl<D: Devices> Session<D> {
             frame: frame_ns.and_then(|_| self.devices.frame()),
             truth: frame_ns.and_then(|_| self.devices.truth()),
             task: self.task.take(),
+            areas: &self.areas,
             orders: &self.orders,
             safety: &self.report,
         };
@@ -158,6 +161,7 @@ impl<D: Devices> Session<D> {
         self.port.plan.write(Some(Plan { twist: decision.desired.into(), time_ns: plan_ns }));
         self.tick += 1;
         observer.after(&mut self.robot, &input, &decision)?;
+        self.areas.clear();
         self.orders.clear();
         Ok(Some(decision))
     }
@@ -165,9 +169,18 @@ impl<D: Devices> Session<D> {
     /// Gives the robot a task, which becomes part of the next tick's input. It replaces one that no tick has taken.
     ///
     /// # Errors
-    /// A place that is not finite.
-    pub fn give(&mut self, task: Task) -> Result<(), PlaceNotFinite> {
+    /// A place or a velocity that is not finite.
+    pub fn give(&mut self, task: Task) -> Result<(), NotFinite> {
         self.task = Some(task.check()?);
+        Ok(())
+    }
+
+    /// Closes or opens areas with the next tick.
+    ///
+    /// # Errors
+    /// A corner that is too far away or not a number.
+    pub fn change_areas(&mut self, change: AreaChange) -> Result<(), AreaTooFar> {
+        self.areas.push(change.check()?);
         Ok(())
     }
 

@@ -10,7 +10,7 @@ use hal::{
 use super::*;
 use crate::event::{Event, SafetyEvent};
 use crate::exploration::{ExplorationConfig, PolicyKind};
-use crate::localization::LocalizationConfig;
+use crate::localization::{LocalizationConfig, LostReason};
 use crate::mapping::MapConfig;
 use crate::perception::{CoarseConfig, DenseConfig};
 use crate::planning::{FollowerConfig, PlanConfig};
@@ -284,6 +284,59 @@ fn a_tick_that_takes_too_long_is_counted_and_not_made_up_for() {
     let times: Vec<u64> = record.ticks.iter().map(|(decision, _)| decision.time_ns).collect();
     assert_eq!((times, session.skipped()), (vec![7 * TICK_NS, 8 * TICK_NS], 1));
     assert_eq!(corridor.lock().unwrap().now_ns, 8 * TICK_NS);
+}
+
+fn drive(linear_mps: f64, angular_radps: f64) -> Task {
+    Task::Drive { linear_mps, angular_radps }
+}
+
+#[test]
+fn a_person_who_drives_at_the_wall_by_hand_is_stopped_by_the_safety_plane() {
+    let (mut session, corridor) = session();
+    recorded(&mut session, 5);
+    let mut nearest_m = f64::INFINITY;
+    let mut drove = 0;
+    for _ in 0..150 {
+        session.give(drive(0.25, 0.0)).unwrap();
+        let (decision, report) = recorded(&mut session, 1).ticks.remove(0);
+        drove += usize::from(decision.desired == Command { linear_mps: 0.25, angular_radps: 0.0 });
+        assert!(report.in_charge || decision.desired.linear_mps == 0.25, "{decision:?}");
+        nearest_m = nearest_m.min(WALL_M - corridor.lock().unwrap().x_m);
+    }
+    assert!(drove > 30, "it drove in {drove} ticks");
+    // The footprint's radius, and what is left of the stop distance of 0.1 m where the robot drives aslant at the wall.
+    assert!((0.16 + 0.03..0.5).contains(&nearest_m), "{nearest_m} m");
+}
+
+#[test]
+fn a_faster_hand_than_the_robot_drives_at_its_highest_speed_on_the_same_arc_and_lets_go_after_0_4_s()
+ {
+    let (mut session, _) = session();
+    recorded(&mut session, 5);
+    session.give(drive(-3.0, 0.5)).unwrap();
+    let ticks = recorded(&mut session, 6).ticks;
+    let desired: Vec<Command> = ticks.iter().map(|(decision, _)| decision.desired).collect();
+    let Command { linear_mps, angular_radps } = desired[0];
+    assert!((linear_mps + 0.3).abs() < 1e-12 && (angular_radps - 0.05).abs() < 1e-12);
+    assert_eq!(desired[1..4], [desired[0]; 3]);
+    assert_eq!(desired[4..], [Command::default(); 2]);
+    assert!(session.give(drive(f64::NAN, 0.0)).is_err());
+    assert!(session.give(drive(0.0, f64::INFINITY)).is_err());
+}
+
+#[test]
+fn a_lost_robot_searches_its_place_unless_a_person_has_paused_it_and_can_be_driven_by_hand() {
+    let (mut session, _) = session();
+    recorded(&mut session, 5);
+    session.robot_mut().lose(LostReason::Carried);
+    session.give(Task::Pause).unwrap();
+    let moves =
+        |record: Record| record.ticks.iter().any(|(it, _)| it.desired != Command::default());
+    let paused = recorded(&mut session, 20);
+    assert!(paused.ticks.iter().all(|(decision, _)| decision.lost.is_some()));
+    assert!(!moves(paused));
+    session.give(drive(0.0, 0.2)).unwrap();
+    assert!(moves(recorded(&mut session, 1)));
 }
 
 #[test]

@@ -60,6 +60,7 @@ pub(crate) fn run_ticks(robot: &mut Robot) {
             frame,
             truth: None,
             task: None,
+            areas: &[],
             orders: &[],
             safety: &SafetyReport::default(),
         };
