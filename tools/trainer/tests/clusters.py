@@ -9,6 +9,8 @@ from contextlib import contextmanager
 
 import pytest
 
+from embodied_depth_trainer.cluster import quiet
+
 CPUS = 2
 # The least that Ray accepts is about 75 MiB.
 OBJECT_STORE_BYTES = 80 << 20
@@ -22,8 +24,8 @@ def small_cluster() -> Iterator[None]:
         # A token in the environment, because Ray would write a new one into the home directory.
         patch.setenv("RAY_AUTH_MODE", "token")
         patch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
-        # Workers that are already started wait for tasks; Ray starts no others in advance.
-        patch.setenv("RAY_prestart_worker_first_driver", "0")
+        # Otherwise workers leave the processor to every other program (15), and tests beside one take minutes.
+        patch.setenv("RAY_worker_niceness", "0")
         patch.delenv("RAY_ADDRESS", raising=False)
         import ray
 
@@ -36,7 +38,7 @@ def small_cluster() -> Iterator[None]:
                 include_dashboard=False,
                 object_store_memory=OBJECT_STORE_BYTES,
                 _temp_dir=folder,
-                logging_level="ERROR",
+                **quiet(ray),
             )
             try:
                 yield

@@ -40,6 +40,12 @@ def joined(on: str) -> Iterator[Any]:
             ray.shutdown()
 
 
+def quiet(ray: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Options of `ray.init`: only errors in the logs of this process and of all others. Ray Train would warn every
+    second that there is no dashboard, and tell each step of its work."""
+    return {"logging_level": logging.ERROR, "logging_config": ray.LoggingConfig(log_level="ERROR")}
+
+
 def result_of(ray: Any, task: Any) -> Any:  # noqa: ANN401
     """What a finished task returned. Its error is raised as it was there, without Ray's account of both processes."""
     try:
@@ -75,7 +81,7 @@ def _join(ray: Any, on: str) -> None:  # noqa: ANN401
     address = on if on.startswith(BY_CLIENT) else None
     try:
         # Without an address: RAY_ADDRESS, else the cluster that runs on this computer, else a new one.
-        ray.init(address, logging_level=logging.ERROR, **({} if address else {"include_dashboard": False}))
+        ray.init(address, **quiet(ray), **({} if address else {"include_dashboard": False}))
     except (ConnectionError, ValueError, RuntimeError, ImportError) as problem:
         name = address or os.environ.get("RAY_ADDRESS") or "this computer"
         raise TrainerError(

@@ -11,9 +11,11 @@ from pathlib import Path
 import torch
 
 from embodied_depth_trainer import processes
+from embodied_depth_trainer.cluster import LOCAL
 from embodied_depth_trainer.commands import experiment
 from embodied_depth_trainer.commands.arguments import (
     add_amp,
+    add_cluster,
     add_device,
     add_dumps,
     add_init,
@@ -21,6 +23,7 @@ from embodied_depth_trainer.commands.arguments import (
     add_stores,
     add_threads,
     image_size,
+    with_absolute_paths,
 )
 from embodied_depth_trainer.data.buffer import select
 from embodied_depth_trainer.data.lidar_line import MAX_APART_NS
@@ -36,14 +39,15 @@ from embodied_depth_trainer.store.store import Store, past_of
 from embodied_depth_trainer.store.version import DATASET_FILE, read_version
 from embodied_depth_trainer.training.initial import chosen, given_depth
 from embodied_depth_trainer.training.progress import Progress, draw
+from embodied_depth_trainer.training.ray_ranks import Ranks, run_ranks
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.tensorboard import Board
 from embodied_depth_trainer.training.trainer import Trainer, train
 
 # The options of a training, written beside its checkpoint.
 EXPERIMENT_FILE = "experiment.toml"
-# Options that select the command or a file of options, and so do not belong into that file.
-NOT_RECORDED = ("command", "run_command", "experiment")
+# Options that select the command, a file of options or the computers, and so do not belong into that file.
+NOT_RECORDED = ("command", "run_command", "experiment", "on", "ranks")
 
 
 def add_train(command: argparse.ArgumentParser) -> None:
@@ -59,6 +63,14 @@ def add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument("--size", type=image_size, help="reduce the images of --dataset to rows x columns")
     add_device(command)
     add_threads(command)
+    add_cluster(command, "the processes of --ranks")
+    command.add_argument(
+        "--ranks",
+        type=int,
+        metavar="N",
+        help="on a Ray cluster: number of processes that divide every batch, each with --threads CPUs and, as --device "
+        "says, one GPU [1]",
+    )
     command.add_argument(
         "--readers", type=int, default=1, help="threads that prepare batches ahead; each prepares one [1]"
     )
@@ -195,8 +207,35 @@ def settings_of(options: argparse.Namespace, past: PastFrames | None) -> Setting
 
 
 def run_train(options: argparse.Namespace) -> None:
+    if options.on == LOCAL:
+        if options.ranks is not None:
+            raise TrainerError("--ranks needs --on ray; on one computer, torchrun starts several processes")
+        run_rank(options, options.device)
+        return
+    run_ranks(run_rank, for_other_computers(options), ranks_of(options))
+
+
+def for_other_computers(options: argparse.Namespace) -> argparse.Namespace:
+    """The options without what cannot be sent, and with absolute paths."""
+    sent = with_absolute_paths(options)
+    del sent.run_command
+    for name in ("init", "encoder"):
+        file = getattr(sent, name)
+        # Other values stand for weights that the package has or downloads.
+        if file is not None and Path(file).is_file():
+            setattr(sent, name, str(Path(file).absolute()))
+    return sent
+
+
+def ranks_of(options: argparse.Namespace) -> Ranks:
+    count = 1 if options.ranks is None else options.ranks
+    return Ranks(count, options.on, options.threads, options.device, options.out.absolute())
+
+
+def run_rank(options: argparse.Namespace, device: str) -> None:
+    """Trains in this process, alone or together with the others that `processes.start` finds."""
     torch.set_num_threads(options.threads)
-    device = processes.start(options.device)
+    device = processes.start(device)
     stores = [Store(folder) for folder in options.store]
     only = read_version(options.only) if options.only is not None else None
     dataset = open_dataset(stores, options.dataset, options.size, options.every, only=only)
