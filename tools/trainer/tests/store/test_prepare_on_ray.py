@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import platform
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -75,8 +76,6 @@ exec {robot} "$@"
 def test_what_a_worker_cannot_read_is_named_with_its_node(
     run: Path, tmp_path: Path, robot: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import platform
-
     broken = tmp_path / "broken"
     broken.write_text('#!/bin/sh\nif [ "$1" = --version ]; then echo 0; exit; fi\necho no engine here\nexit 3\n')
     broken.chmod(0o755)
@@ -90,7 +89,9 @@ def test_a_node_that_has_another_folder_is_refused(tmp_path: Path) -> None:
         check_mark(mark)
         # What a node without the shared file system sees: the folder may be there, with something else in it.
         shutil.rmtree(mark)
-        with pytest.raises(TrainerError, match=rf"node \S+ of the Ray cluster does not see the directory {mark.parent}"):
+        with pytest.raises(
+            TrainerError, match=rf"node \S+ of the Ray cluster does not see the directory {mark.parent}"
+        ):
             check_mark(mark)
     assert not list((tmp_path / "store").iterdir())
 
