@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,6 @@ from embodied_depth_trainer.shared_folder import check_mark, marked
 
 # How often all processes are started again.
 RESTARTS = 3
-# Logs of Ray Train that would repeat every line of every rank, and tell what it does itself.
-LOGS = ("PRINT_PATCH", "CONTROLLER_STRUCTURED_LOGGING", "WORKER_STRUCTURED_LOGGING")
 Options = TypeVar("Options")
 
 
@@ -61,8 +58,6 @@ def _fit(work: Callable[[Options, str], None], options: Options, ranks: Ranks, d
     from ray.train.torch import TorchTrainer
 
     check_mark(mark)
-    for name in LOGS:
-        os.environ.setdefault(f"RAY_TRAIN_ENABLE_{name}", "0")
     trainer = TorchTrainer(
         _rank,
         train_loop_config={"work": work, "options": options, "device": device, "mark": mark},
