@@ -39,7 +39,7 @@ pub fn close(file: Option<&Path>, policy: PolicyKind, config: &mut Config) -> Re
 /// # Errors
 /// Why it cannot.
 pub fn can_keep_out(policy: PolicyKind, config: &Config) -> Result<()> {
-    if matches!(policy, PolicyKind::Random | PolicyKind::Heuristic | PolicyKind::Forward) {
+    if !policy.plans_paths() {
         bail!(
             "the policy `{}` plans no paths and would enter the closed areas; use --policy active, frontier or inconsistency",
             policy.name()

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::exploration::PolicyKind;
+
 /// A task. It replaces the one before.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "task", rename_all = "snake_case", deny_unknown_fields)]
@@ -17,6 +19,11 @@ pub enum Task {
     Return,
     /// Explore, as a robot without a task does.
     Explore,
+    /// Explore by another policy from now on.
+    ExploreBy {
+        /// The policy.
+        policy: PolicyKind,
+    },
     /// Stand where the robot is until there is another task.
     Pause,
     /// Drive at this velocity for [`HOLD_NS`], as far as the safety plane permits, and then stand. A person who drives by hand

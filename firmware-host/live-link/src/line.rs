@@ -1,5 +1,6 @@
 //! From the view to the robot: one JSON object a line.
 
+use runtime::exploration::PolicyKind;
 use runtime::operator::Role;
 use runtime::task::{AreaChange, Task};
 use serde::{Deserialize, Serialize};
@@ -47,6 +48,11 @@ pub enum Order {
     Pause,
     /// Explore again.
     Resume,
+    /// Explore by another policy from now on.
+    ExploreBy {
+        /// The policy.
+        policy: PolicyKind,
+    },
     /// Drive to a place in `map` and stand there.
     GoTo {
         /// Metres.
@@ -76,8 +82,8 @@ pub enum Order {
 }
 
 impl Order {
-    /// All orders, with some place and velocity.
-    pub const ALL: [Self; 11] = [
+    /// All orders, with some place, velocity and policy.
+    pub const ALL: [Self; 12] = [
         Self::Stop,
         Self::Disarm,
         Self::Arm,
@@ -89,6 +95,7 @@ impl Order {
         Self::Drive { linear_mps: 0.0, angular_radps: 0.0 },
         Self::KeepOut { corners_m: [[0.0; 2]; 4] },
         Self::OpenAreas,
+        Self::ExploreBy { policy: PolicyKind::Active },
     ];
 
     /// The order in words, for people and for the recording.
@@ -100,6 +107,7 @@ impl Order {
             Self::Arm => "arm".to_owned(),
             Self::Pause => "pause".to_owned(),
             Self::Resume => "resume".to_owned(),
+            Self::ExploreBy { policy } => format!("explore by the policy `{}`", policy.name()),
             Self::GoTo { x_m, y_m } => format!("go to ({x_m:.2}, {y_m:.2}) m"),
             Self::Return => "return to the start".to_owned(),
             Self::SaveMap => "save the map".to_owned(),
@@ -133,6 +141,7 @@ impl Order {
         match *self {
             Self::Pause => Some(Task::Pause),
             Self::Resume => Some(Task::Explore),
+            Self::ExploreBy { policy } => Some(Task::ExploreBy { policy }),
             Self::GoTo { x_m, y_m } => Some(Task::GoTo { x_m, y_m }),
             Self::Return => Some(Task::Return),
             Self::Drive { linear_mps, angular_radps } => {

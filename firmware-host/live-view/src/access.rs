@@ -15,6 +15,12 @@ const LONGEST_NAME: usize = 40;
 #[derive(Debug)]
 pub struct Refused(String);
 
+impl Refused {
+    pub(crate) fn new(why: String) -> Self {
+        Self(why)
+    }
+}
+
 impl std::fmt::Display for Refused {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(&self.0)
@@ -107,6 +113,17 @@ impl Tokens {
     }
 }
 
+/// What protects the bytes between a client and this program.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Transport {
+    /// Nothing.
+    Plain,
+    /// TLS of this program.
+    Tls,
+    /// Something else, such as a VPN or a TLS proxy, as the person who started the program says.
+    ProtectedElsewhere,
+}
+
 /// The rules of access.
 #[derive(Debug)]
 pub struct Access {
@@ -128,9 +145,10 @@ impl Access {
     /// The rules for a server at this address.
     ///
     /// # Errors
-    /// An address that other computers can reach, without tokens.
+    /// An address that other computers can reach, without tokens or without protection on the way.
     pub fn new(
         address: IpAddr,
+        transport: Transport,
         tokens: Option<Tokens>,
         origins: Vec<String>,
     ) -> Result<Self, Refused> {
@@ -138,6 +156,12 @@ impl Access {
             return Err(Refused(format!(
                 "other computers could steer the robot at {address}: give --tokens FILE, or listen at 127.0.0.1 and \
                  connect by `ssh -L 8765:127.0.0.1:8765 ROBOT`"
+            )));
+        }
+        if !address.is_loopback() && transport == Transport::Plain {
+            return Err(Refused(format!(
+                "at {address} others could read the tokens on their way: give --tls-certificate and --tls-key, or listen at \
+                 127.0.0.1 and connect by ssh; --no-tls if a VPN or a proxy protects the connection"
             )));
         }
         Ok(Self { tokens, origins })
@@ -165,7 +189,8 @@ impl Access {
             return Err("the address must be 127.0.0.1 or localhost");
         }
         let is_own = client.origin.is_none_or(|origin| {
-            origin.strip_prefix("http://").is_some_and(|name| Some(name) == client.host)
+            let name = origin.strip_prefix("http://").or(origin.strip_prefix("https://"));
+            name.is_some_and(|name| Some(name) == client.host)
                 || self.origins.iter().any(|allowed| allowed == origin)
         });
         if !is_own {
@@ -199,20 +224,27 @@ mod tests {
     }
 
     #[test]
-    fn another_address_than_loopback_needs_tokens() {
+    fn another_address_than_loopback_needs_tokens_and_tls() {
+        let tokens = || Some(Tokens::parse(TOKENS).unwrap());
         for address in ["0.0.0.0", "192.168.1.7", "::"] {
-            let address: IpAddr = address.parse().unwrap();
-            let refused = Access::new(address, None, Vec::new()).unwrap_err();
-            assert!(refused.to_string().contains("--tokens"), "{refused}");
-            let tokens = Tokens::parse(TOKENS).unwrap();
-            assert!(Access::new(address, Some(tokens), Vec::new()).is_ok());
+            let at = |transport, tokens| {
+                let address: IpAddr = address.parse().unwrap();
+                Access::new(address, transport, tokens, Vec::new()).map_err(|why| why.to_string())
+            };
+            assert!(at(Transport::Tls, None).unwrap_err().contains("--tokens"));
+            assert!(at(Transport::Plain, tokens()).unwrap_err().contains("--tls-certificate"));
+            assert!(at(Transport::Tls, tokens()).is_ok());
+            assert!(at(Transport::ProtectedElsewhere, tokens()).is_ok());
         }
-        assert!(Access::new(Ipv6Addr::LOCALHOST.into(), None, Vec::new()).is_ok());
+        let local = Access::new(Ipv6Addr::LOCALHOST.into(), Transport::Plain, None, Vec::new());
+        assert!(local.is_ok());
     }
 
     #[test]
     fn a_token_gives_its_role_and_nothing_else_does() {
-        let access = Access::new(LOCAL, Some(Tokens::parse(TOKENS).unwrap()), Vec::new()).unwrap();
+        let access =
+            Access::new(LOCAL, Transport::Plain, Some(Tokens::parse(TOKENS).unwrap()), Vec::new())
+                .unwrap();
         let with = |token| access.authorize(Handshake { token, ..of_host("robot.local:8765") });
         let anna = Identity { name: Some("anna".to_owned()), role: Role::Steer };
         assert_eq!(with(Some("aaaaaaaaaaaaaaaa1")), Ok(anna));
@@ -225,12 +257,15 @@ mod tests {
 
     #[test]
     fn a_page_of_the_internet_steers_nothing_on_this_computer() {
-        let access = Access::new(LOCAL, None, vec!["https://app.foxglove.dev".to_owned()]).unwrap();
+        let access =
+            Access::new(LOCAL, Transport::Plain, None, vec!["https://app.foxglove.dev".to_owned()])
+                .unwrap();
         let from = |origin, host| {
             access.authorize(Handshake { origin: Some(origin), ..of_host(host) }).is_ok()
         };
         assert!(from("http://127.0.0.1:8765", "127.0.0.1:8765"));
         assert!(from("http://localhost:8765", "localhost:8765"));
+        assert!(from("https://localhost:8765", "localhost:8765"));
         assert!(from("https://app.foxglove.dev", "127.0.0.1:8765"));
         assert!(!from("http://evil.example", "127.0.0.1:8765"));
         assert!(!from("null", "127.0.0.1:8765"));

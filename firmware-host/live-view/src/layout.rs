@@ -42,8 +42,10 @@ pub fn layout() -> Value {
         "Plot!speed": plot("Commands in force", &["/robot/now.linear_mps", "/robot/now.angular_radps"]),
     });
     let mut buttons = Vec::new();
-    // What needs a person's numbers each time has no button.
-    let has_button = |order: &Order| !matches!(order, Order::Drive { .. } | Order::KeepOut { .. });
+    // What needs another velocity, area or policy each time has no button.
+    let has_button = |order: &Order| {
+        !matches!(order, Order::Drive { .. } | Order::KeepOut { .. } | Order::ExploreBy { .. })
+    };
     for order in Order::ALL.into_iter().filter(has_button) {
         let name = service_name(order);
         let id = format!("CallService!{name}");

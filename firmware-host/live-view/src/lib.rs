@@ -14,5 +14,6 @@ mod publish;
 pub mod robot;
 pub mod server;
 mod session;
+pub mod tls;
 
 pub use layout::layout;

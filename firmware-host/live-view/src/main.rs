@@ -4,12 +4,15 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use live_view::access::{Access, Refused, Tokens};
+use live_view::access::{Access, Refused, Tokens, Transport};
 use live_view::robot::Robot;
+use live_view::tls::{self, TlsListener};
 use live_view::{layout, server};
+use rustls::ServerConfig;
 use tokio::net::TcpListener;
 
 /// Exit code if the program cannot serve.
@@ -34,6 +37,17 @@ struct Args {
     /// address that other computers can reach needs this file.
     #[arg(long, value_name = "FILE")]
     tokens: Option<PathBuf>,
+    /// Certificate chain in PEM: page and WebSocket then use TLS. An address that other computers can
+    /// reach needs it, or ssh, or --no-tls.
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    tls_certificate: Option<PathBuf>,
+    /// Key of the certificate in PEM, readable by its owner only.
+    #[arg(long, value_name = "FILE", requires = "tls_certificate")]
+    tls_key: Option<PathBuf>,
+    /// Listen without TLS at an address that other computers can reach, because a VPN or a proxy protects
+    /// the connection.
+    #[arg(long, conflicts_with = "tls_certificate")]
+    no_tls: bool,
     /// Also accept pages of this origin without a token, such as https://app.foxglove.dev.
     #[arg(long, value_name = "ORIGIN")]
     allow_origin: Vec<String>,
@@ -61,7 +75,14 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> Result<()> {
     let tokens = args.tokens.as_deref().map(Tokens::read).transpose()?;
-    let access = Access::new(args.listen.ip(), tokens, args.allow_origin.clone())?;
+    let pair = args.tls_certificate.as_deref().zip(args.tls_key.as_deref());
+    let tls = pair.map(|(certificate, key)| tls::config(certificate, key)).transpose()?;
+    let transport = match (&tls, args.no_tls) {
+        (Some(_), _) => Transport::Tls,
+        (None, true) => Transport::ProtectedElsewhere,
+        (None, false) => Transport::Plain,
+    };
+    let access = Access::new(args.listen.ip(), transport, tokens, args.allow_origin.clone())?;
     if let Some(path) = &args.layout {
         write_layout(path)?;
     }
@@ -70,29 +91,36 @@ fn run(args: &Args) -> Result<()> {
         .enable_all()
         .build()
         .context("cannot start the program's threads")?;
-    runtime.block_on(serve(args, access))
+    runtime.block_on(serve(args, access, tls))
 }
 
-async fn serve(args: &Args, access: Access) -> Result<()> {
+async fn serve(args: &Args, access: Access, tls: Option<Arc<ServerConfig>>) -> Result<()> {
     let listener = TcpListener::bind(args.listen).await.with_context(|| {
         format!("cannot listen at {}: is another live-view running? See --listen", args.listen)
     })?;
     let address = listener.local_addr()?;
     let robot = Robot::connect(&args.robot);
-    announce(address, &args.robot, &access);
+    announce(address, &args.robot, &access, tls.is_some());
+    let serves = async {
+        match tls {
+            Some(config) => server::serve(TlsListener::new(listener, config)?, robot, access).await,
+            None => server::serve(listener, robot, access).await,
+        }
+    };
     tokio::select! {
-        served = server::serve(listener, robot, access) => served,
+        served = serves => served,
         signal = tokio::signal::ctrl_c() => signal.context("cannot listen for signals"),
     }
 }
 
-fn announce(address: SocketAddr, robot: &Path, access: &Access) {
-    println!("page:     http://{address}/");
-    println!("Foxglove: ws://{address}/  (Open connection, Foxglove WebSocket)");
+fn announce(address: SocketAddr, robot: &Path, access: &Access, has_tls: bool) {
+    let [http, ws] = if has_tls { ["https", "wss"] } else { ["http", "ws"] };
+    println!("page:     {http}://{address}/");
+    println!("Foxglove: {ws}://{address}/  (Open connection, Foxglove WebSocket)");
     println!("robot:    {}", robot.display());
     if access.needs_token() {
         println!(
-            "Every client needs a token: http://{address}/#token=TOKEN, ws://{address}/?token=TOKEN"
+            "Every client needs a token: {http}://{address}/#token=TOKEN, {ws}://{address}/?token=TOKEN"
         );
     }
 }

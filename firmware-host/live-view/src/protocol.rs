@@ -10,6 +10,7 @@
 //! | 2 | client | service (4), call (4), length of the encoding's name (4), the name, request |
 
 use live_link::{Channel, Order};
+use runtime::exploration::PolicyKind;
 use runtime::operator::Role;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -274,6 +275,10 @@ fn service(number: usize, order: Order) -> Value {
             "type": "object", "required": ["linear_mps", "angular_radps"],
             "properties": {"linear_mps": {"type": "number"}, "angular_radps": {"type": "number"}},
         }),
+        Order::ExploreBy { .. } => json!({
+            "type": "object", "required": ["policy"],
+            "properties": {"policy": {"enum": PolicyKind::ALL.map(PolicyKind::name)}},
+        }),
         Order::KeepOut { .. } => json!({
             "type": "object", "required": ["corners_m"],
             "properties": {"corners_m": {
@@ -318,6 +323,7 @@ pub(crate) fn service_name(order: Order) -> &'static str {
         Order::Drive { .. } => "drive",
         Order::KeepOut { .. } => "keep_out",
         Order::OpenAreas => "open_areas",
+        Order::ExploreBy { .. } => "explore_by",
     }
 }
 
@@ -337,6 +343,10 @@ pub fn order_of(call: &Call) -> Result<Order, String> {
         angular_radps: f64,
     }
     #[derive(Deserialize)]
+    struct Policy {
+        policy: PolicyKind,
+    }
+    #[derive(Deserialize)]
     struct Area {
         corners_m: [[f64; 2]; 4],
     }
@@ -354,6 +364,11 @@ pub fn order_of(call: &Call) -> Result<Order, String> {
             })?;
             let Velocity { linear_mps, angular_radps } = velocity;
             Ok(Order::Drive { linear_mps, angular_radps })
+        }
+        Order::ExploreBy { .. } => {
+            let by: Policy = serde_json::from_slice(&call.payload)
+                .map_err(|error| format!("a policy is {{\"policy\": \"active\"}}: {error}"))?;
+            Ok(Order::ExploreBy { policy: by.policy })
         }
         Order::KeepOut { .. } => {
             let area: Area = serde_json::from_slice(&call.payload).map_err(|error| {
@@ -399,12 +414,12 @@ mod tests {
     #[test]
     fn every_service_is_the_order_that_its_name_says() {
         for (at, order) in Order::ALL.into_iter().enumerate() {
-            let request = r#"{"x_m":0,"y_m":0,"linear_mps":0,"angular_radps":0,"corners_m":[[0,0],[0,0],[0,0],[0,0]]}"#;
+            let request = r#"{"x_m":0,"y_m":0,"linear_mps":0,"angular_radps":0,"corners_m":[[0,0],[0,0],[0,0],[0,0]],"policy":"frontier"}"#;
             let read = order_of(&call(at as u32 + 1, request)).unwrap();
             assert_eq!(service_name(read), service_name(order));
         }
         assert!(order_of(&call(0, "{}")).is_err() && order_of(&call(99, "{}")).is_err());
-        for with_numbers in [6, 9, 10] {
+        for with_numbers in [6, 9, 10, 12] {
             assert!(order_of(&call(with_numbers, "{}")).is_err(), "{with_numbers}");
         }
     }

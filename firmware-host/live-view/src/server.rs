@@ -6,6 +6,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use axum::Router;
 use axum::body::Body;
+use axum::extract::connect_info::Connected;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{ConnectInfo, Query, Request, State};
@@ -14,6 +15,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use axum::serve::{IncomingStream, Listener};
 use serde::Deserialize;
 use tokio::net::TcpListener;
 
@@ -22,6 +24,7 @@ use crate::page;
 use crate::protocol::SUBPROTOCOLS;
 use crate::robot::Robot;
 use crate::session::Session;
+use crate::tls::TlsListener;
 
 /// The largest message of a client: an order needs 100 bytes, subscriptions of Foxglove some kilobytes.
 const MOST_BYTES: usize = 64 << 10;
@@ -39,18 +42,38 @@ struct TokenQuery {
     token: Option<String>,
 }
 
+/// A client's address.
+#[derive(Debug, Clone, Copy)]
+pub struct Client(SocketAddr);
+
+impl Connected<IncomingStream<'_, TcpListener>> for Client {
+    fn connect_info(stream: IncomingStream<'_, TcpListener>) -> Self {
+        Self(*stream.remote_addr())
+    }
+}
+
+impl Connected<IncomingStream<'_, TlsListener>> for Client {
+    fn connect_info(stream: IncomingStream<'_, TlsListener>) -> Self {
+        Self(*stream.remote_addr())
+    }
+}
+
 /// Serves until an error of the system.
 ///
 /// # Errors
 /// When the system takes the listener away.
-pub async fn serve(listener: TcpListener, robot: Robot, access: Access) -> Result<()> {
+pub async fn serve<L>(listener: L, robot: Robot, access: Access) -> Result<()>
+where
+    L: Listener<Addr = SocketAddr>,
+    Client: for<'a> Connected<IncomingStream<'a, L>>,
+{
     let state = ServerState { robot, access: Arc::new(access) };
     let routes = Router::new()
         .route("/", get(enter))
         .route("/{file}", get(page::file))
         .layer(from_fn_with_state(state.clone(), guard))
         .with_state(state);
-    let service = routes.into_make_service_with_connect_info::<SocketAddr>();
+    let service = routes.into_make_service_with_connect_info::<Client>();
     axum::serve(listener, service).await.context("the server has ended")
 }
 
@@ -69,7 +92,7 @@ async fn guard(State(state): State<ServerState>, request: Request<Body>, next: N
 /// The page, or the WebSocket if the client asks for it. Foxglove connects to the root.
 async fn enter(
     State(state): State<ServerState>,
-    ConnectInfo(address): ConnectInfo<SocketAddr>,
+    ConnectInfo(Client(address)): ConnectInfo<Client>,
     Query(query): Query<TokenQuery>,
     headers: HeaderMap,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,

@@ -4,18 +4,24 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use futures_util::stream::SplitSink;
 use futures_util::{SinkExt, StreamExt};
 use live_link::Channel;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
+use tokio::time::{interval, timeout};
 
 use crate::access::Identity;
 use crate::protocol::{self, Call, ClientChannel, Request, Subscription};
 use crate::publish;
 use crate::robot::{Link, Listener, Robot};
 
+/// Clients are asked this often whether they are there; browsers and WebSocket libraries answer on their own. One that has been
+/// silent for the second time is gone.
+const PING_EVERY: Duration = Duration::from_secs(1);
+const SILENT_FOR: Duration = Duration::from_secs(4);
 /// A client that takes nothing for this long is cut off.
 const TAKES_WITHIN: Duration = Duration::from_secs(5);
 /// Messages a second from a client, and in a burst; a client that sends more is cut off.
@@ -59,7 +65,7 @@ impl Session {
         let allowance = Allowance::default();
         let mut session =
             Self { robot, identity, who, listener, answers, published: Vec::new(), allowance };
-        while let Some(Ok(message)) = stream.next().await {
+        while let Ok(Some(Ok(message))) = timeout(SILENT_FOR, stream.next()).await {
             if writer.is_finished() || matches!(message, Message::Close(_)) {
                 break;
             }
@@ -196,6 +202,7 @@ impl Outgoing {
         self.text(protocol::server_info(self.identity.role, &session)).await?;
         self.text(protocol::advertise_services(self.identity.role)).await?;
         self.show_link().await?;
+        let mut pings = interval(PING_EVERY);
         loop {
             tokio::select! {
                 // Answers go before what is shown.
@@ -205,6 +212,7 @@ impl Outgoing {
                     changed?;
                     self.show_link().await?;
                 }
+                _ = pings.tick() => self.send(Message::Ping(Bytes::new())).await?,
                 message = messages.recv() => {
                     let message = message.context("the session has ended")?;
                     self.listener.taken(&message);
@@ -232,7 +240,7 @@ impl Outgoing {
     }
 
     async fn send(&mut self, message: Message) -> Result<()> {
-        tokio::time::timeout(TAKES_WITHIN, self.sink.send(message))
+        timeout(TAKES_WITHIN, self.sink.send(message))
             .await
             .context("it takes nothing any more")??;
         Ok(())

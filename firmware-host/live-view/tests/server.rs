@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
 use live_link::{Answer, Channel, Frame, Line, LineReader, Order, frame};
-use live_view::access::{Access, Tokens};
+use live_view::access::{Access, Tokens, Transport};
 use live_view::robot::Robot;
 use live_view::server;
 use runtime::operator::Role;
@@ -100,7 +100,7 @@ async fn serve(tokens: Option<&str>) -> (FakeRobot, SocketAddr, tempfile::TempDi
     let web = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = web.local_addr().unwrap();
     let tokens = tokens.map(|text| Tokens::parse(text).unwrap());
-    let access = Access::new(address.ip(), tokens, Vec::new()).unwrap();
+    let access = Access::new(address.ip(), Transport::Plain, tokens, Vec::new()).unwrap();
     tokio::spawn(server::serve(web, Robot::connect(&path), access));
     robot.accept().await;
     (robot, address, dir)
@@ -274,6 +274,23 @@ async fn ten_clients_see_the_robot_while_one_is_slow_and_one_sends_rubbish() {
             }
         }
     }
+}
+
+#[tokio::test]
+async fn a_client_that_answers_no_ping_is_gone_and_one_that_answers_stays() {
+    let (mut robot, address, _dir) = serve(None).await;
+    let mut silent = Client::connect(address, "").await;
+    silent.subscribe(1, 1).await;
+    robot.subscribed(&[1]).await;
+    let mut good = Client::connect(address, "").await;
+    good.subscribe(1, 0).await;
+    robot.subscribed(&[0, 1]).await;
+    // Its library answers pings while it waits for messages. The other one keeps its connection open and does nothing.
+    let stays = tokio::spawn(async move { good.binary().await });
+    robot.subscribed(&[0]).await;
+    robot.send(0, b"still here").await;
+    assert!(within(stays).await.unwrap().ends_with(b"still here"));
+    drop(silent);
 }
 
 #[tokio::test]

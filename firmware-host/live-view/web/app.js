@@ -30,7 +30,7 @@ function show(id, bytes) {
 
 const readers = {
   "/robot/now": (bytes) => now(messages.json(bytes)),
-  "/robot/health": (bytes) => showHealth($("health-list"), messages.json(bytes)),
+  "/robot/health": (bytes) => health(messages.json(bytes)),
   "/tf": (bytes) => {
     const laser = messages.laser(bytes);
     if (laser) map.laser = laser;
@@ -58,6 +58,13 @@ function now(message) {
   document.querySelector("[data-order=arm]").classList.toggle("next", message.needs_person);
   document.querySelector("[data-order=resume]").classList.toggle("next", message.stands && !message.needs_person);
   look();
+}
+
+function health(message) {
+  showHealth($("health-list"), message);
+  // Not while a person chooses.
+  const { policy } = message.exploration;
+  if (policy && document.activeElement !== $("policy")) $("policy").value = policy;
 }
 
 // Screen readers speak a text again when it is set again.
@@ -115,7 +122,7 @@ async function order(name, request) {
 function showAnswer(name, answer) {
   const line = $("answer");
   line.classList.toggle("no", !answer.accepted);
-  line.textContent = `${name.replace("_", " ")}: ${answer.text}`;
+  line.textContent = `${name.replaceAll("_", " ")}: ${answer.text}`;
 }
 
 $("stop").addEventListener("click", () => order("stop"));
@@ -145,6 +152,11 @@ $("ask").addEventListener("submit", (event) => {
   closeAsk();
 });
 $("ask-cancel").addEventListener("click", closeAsk);
+
+$("policy").addEventListener("change", async () => {
+  await order("explore_by", { policy: $("policy").value });
+  $("policy").blur();
+});
 
 const hand = new Hand($("pad"), async (forward, left) => {
   const { most_mps, most_radps } = state.now ?? { most_mps: 0, most_radps: 0 };
@@ -182,7 +194,7 @@ document.addEventListener("keydown", (event) => {
     order("stop");
     return;
   }
-  if (hand.takes(event.key) || event.target instanceof HTMLInputElement || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+  if (hand.takes(event.key) || event.target.matches("input, select") || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
   const keys = { a: "arm", p: "pause", r: "resume" };
   if (keys[event.key] && state.role === "steer") order(keys[event.key]);
   if (event.key === "f") map.setFollows(!map.follows);

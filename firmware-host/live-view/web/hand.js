@@ -91,7 +91,7 @@ export class Hand {
     pad.addEventListener("pointermove", (event) => this.held && hold(event));
     for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) pad.addEventListener(end, () => this.release());
     document.addEventListener("keydown", (event) => {
-      if (event.repeat || event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLInputElement) return;
+      if (event.repeat || event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, select")) return;
       if (this.takes(event.key)) this.keys.add(event.key.toLowerCase());
     });
     document.addEventListener("keyup", (event) => this.keys.delete(event.key.toLowerCase()));

@@ -17,6 +17,7 @@ use crate::config::{Config, DEFAULT_FILE};
 use crate::report::fit;
 use crate::run::status::{STALE_S, Status, unix_s};
 use devices::Finding;
+pub use drive::require;
 pub use speed::Speed;
 use view::View;
 
@@ -35,9 +36,11 @@ pub fn run(args: &CheckArgs) -> Result<ExitCode> {
     if !args.devices && !args.drive {
         // A file without devices is for `explore`, which does not use them.
         let remark = match real_robot {
-            Ok(()) => "",
+            Ok(()) => drive::require(&config, path)
+                .err()
+                .map_or_else(String::new, |refused| format!(" `run` refuses to start: {refused}.")),
             Err(_) if !names_devices(path)? => {
-                " It is for `explore`: `run` needs a section [devices]."
+                " It is for `explore`: `run` needs a section [devices].".to_owned()
             }
             Err(error) => return Err(error.into()),
         };

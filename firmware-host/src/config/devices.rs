@@ -8,6 +8,7 @@ use hal::{CameraModel, Distortion};
 use runtime::safety::{SafetyConfig, needs_second_scan};
 
 use super::Config;
+use super::commissioning::Commissioning;
 
 hal::settings! {
     /// The control loops of a real robot (`firmware-host run`).
@@ -19,6 +20,12 @@ hal::settings! {
         /// Whether the robot may move as soon as all devices work. Otherwise, and after a stop that needs a person, it waits for
         /// the signal SIGUSR1.
         arm_at_start: bool = true;
+        /// How the numbers that the safety plane assumes (reaction, braking, roll-out, directions of wheels and scanner) are
+        /// known. `measured`: `run` starts only beside a `commissioning.toml` of `check --drive` that bears them out. `by_hand`: a
+        /// person measured them in another way, and answers for them. `unchecked`: on the bench, and in simulation.
+        commissioning: Commissioning = Commissioning::Unchecked;
+        /// File into which `check --drive` writes what it has measured. Empty: `commissioning.toml` beside the configuration.
+        commissioning_file: String = String::new();
         /// Time from a LiDAR beam to the first response of the wheels. At least two periods of the scanner are assumed, and three
         /// of a scanner with few beams; `check` prints the speed that this allows, and `check --drive` measures the time.
         reaction_s: f64 = 0.1, in 0.0..=1.0, unit "s",

@@ -28,6 +28,12 @@ pub enum ConfigError {
         path.display(), named_by.display()
     )]
     NoCalibration { path: PathBuf, named_by: PathBuf, source: std::io::Error },
+    /// No measurement bears out what the safety plane assumes.
+    #[error(
+        "{}: run.commissioning is \"measured\", but {why}. `firmware-host check --drive --config {}` measures it on the floor; set \"by_hand\" \
+         if it was measured in another way", path.display(), path.display()
+    )]
+    NotCommissioned { path: PathBuf, why: String },
     /// The file has unknown keys or values that are not allowed.
     #[error("{}", list(path, problems))]
     Refused {

@@ -17,5 +17,8 @@ hal::settings! {
         image_columns: u32 = 640, in 64..=4096, unit "pixels";
         /// Quality of the images as JPEG.
         jpeg_quality: u8 = 70, in 1..=100;
+        /// A robot that was watched pauses when no client has watched for this long, because the link is lost or the page is closed.
+        /// It is noticed up to 4 s later if a client vanishes without closing its connection. 0: it goes on as it was ordered.
+        pause_when_unwatched_s: f64 = 0.0, in 0.0..=86400.0, unit "s";
     }
 }

@@ -6,6 +6,7 @@
 
 pub mod calibration;
 mod check;
+mod commissioning;
 mod devices;
 mod error;
 mod live;
@@ -29,6 +30,7 @@ use runtime::{
     safety::SafetySection,
 };
 
+pub use commissioning::Commissioning;
 pub use devices::{DevicesSection, LensSection, RunSection};
 pub use error::{ConfigError, Problem};
 pub use live::LiveSection;

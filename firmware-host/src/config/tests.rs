@@ -78,7 +78,7 @@ fn choices(section: &Section, prefix: &str) -> Vec<(String, &'static [&'static s
 #[test]
 fn every_declared_choice_can_be_read() {
     let choices = choices(&Config::SECTION, "");
-    assert_eq!(choices.len(), 12);
+    assert_eq!(choices.len(), 13);
     for (key, choices) in choices {
         for choice in choices {
             // Some combinations are refused by a rule between keys, which is checked after reading.

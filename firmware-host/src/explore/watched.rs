@@ -78,7 +78,7 @@ fn status(log: &RunLog, session: &Session<SimulatedDevices>) -> Status {
         exploration: ExplorationStatus {
             ticks: session.ticks(),
             skipped: session.skipped(),
-            policy: robot.config().policy.name().to_owned(),
+            policy: robot.explorer().policy().name().to_owned(),
             tick_p50_ms: total.map_or(0.0, |total| total.p50),
             tick_p99_ms: total.map_or(0.0, |total| total.p99),
             mapped_m2: free as f64 * map.cell_m() * map.cell_m(),

@@ -18,12 +18,13 @@ mod socket;
 #[cfg(test)]
 mod tests;
 mod tick_copy;
+mod watchers;
 mod words;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use hal::{CameraModel, Pose3};
@@ -31,7 +32,7 @@ use runtime::exploration::PolicyKind;
 use runtime::operator::OperatorOrder;
 use runtime::robot::Robot;
 use runtime::session::{Devices, Session};
-use runtime::task::AreaChange;
+use runtime::task::{AreaChange, Task};
 use runtime::tick::{Decision, TickInput};
 
 use crate::config::Config;
@@ -47,6 +48,7 @@ pub use order_handler::Abilities;
 use order_handler::{LoopOrder, OrderHandler};
 use socket::Server;
 use tick_copy::Copies;
+use watchers::Watchers;
 use words::StateTracker;
 
 /// Ticks that wait for the thread that encodes them: the time that a large map takes.
@@ -63,6 +65,7 @@ pub struct Live {
     orders: Receiver<LoopOrder>,
     notes: Receiver<OperatorOrder>,
     dropped: u64,
+    watchers: Watchers,
     // Its `drop` ends the threads and removes the socket.
     _server: Server,
 }
@@ -89,10 +92,12 @@ pub fn socket_of(argument: Option<&Path>, config: &Config) -> Option<PathBuf> {
 pub fn abilities(map: Option<&KeptMap>, policy: PolicyKind, config: &Config) -> Result<Abilities> {
     let can_keep_out = keep_out::can_keep_out(policy, config);
     let plans_paths = can_keep_out.is_ok();
-    if map.is_some_and(|map| map.area_changes().next().is_some()) {
+    let has_drawn = map.is_some_and(|map| map.area_changes().next().is_some());
+    if has_drawn {
         can_keep_out.context("areas are drawn on the map")?;
     }
-    Ok(Abilities { keeps_map: map.is_some(), plans_paths })
+    let keeps_out = has_drawn || !config.planning.keep_out_m.is_empty();
+    Ok(Abilities { keeps_map: map.is_some(), plans_paths, keeps_out })
 }
 
 impl Live {
@@ -120,7 +125,8 @@ impl Live {
         Encoder::start(Arc::clone(&hub), config.live.clone(), mounts, items)?;
         let copies = Copies::new(&config.live, Arc::clone(&hub));
         let state = StateTracker::new(panel);
-        Ok(Self { hub, queue, copies, state, orders, notes, dropped: 0, _server: server })
+        let watchers = Watchers::new(config.live.pause_when_unwatched_s);
+        Ok(Self { hub, queue, copies, state, orders, notes, dropped: 0, watchers, _server: server })
     }
 
     /// Gives the orders that have come to the session before its next tick.
@@ -128,6 +134,9 @@ impl Live {
         while let Ok(note) = self.notes.try_recv() {
             tracing::warn!("{}", note.sentence());
             session.note(note);
+        }
+        if self.watchers.are_gone(self.hub.has_subscriptions(), Instant::now()) {
+            pause(session);
         }
         let mut map = map;
         while let Ok(order) = self.orders.try_recv() {
@@ -178,6 +187,22 @@ impl Live {
         {
             self.dropped += 1;
         }
+    }
+}
+
+/// Pauses a robot that is not watched any more, and notes it as an order.
+fn pause<D: Devices>(session: &mut Session<D>) {
+    let order = OperatorOrder {
+        who: "live.pause_when_unwatched_s".to_owned(),
+        role: None,
+        what: "pause, because no client watches any more".to_owned(),
+        refused: None,
+    };
+    tracing::warn!("{}", order.sentence());
+    session.note(order);
+    // A pause has no number that could be refused.
+    if let Err(error) = session.give(Task::Pause) {
+        tracing::error!("{error}");
     }
 }
 

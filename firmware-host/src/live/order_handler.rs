@@ -1,11 +1,12 @@
 //! Takes the orders of all clients: judges them, does what cannot wait, passes the rest on to the loop, and notes every one.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use live_link::{Answer, LineError, Order, OrderLine};
+use runtime::exploration::PolicyKind;
 use runtime::operator::OperatorOrder;
 use runtime::task::{AreaChange, Task};
 
@@ -39,6 +40,8 @@ pub struct Abilities {
     pub keeps_map: bool,
     /// Its policy drives along planned paths only.
     pub plans_paths: bool,
+    /// Some areas are closed from the beginning.
+    pub keeps_out: bool,
 }
 
 /// Takes orders.
@@ -49,7 +52,9 @@ pub struct OrderHandler {
     can: Abilities,
     rate: Mutex<Bucket>,
     hand: Mutex<Hand>,
+    /// Number of areas that were drawn.
     areas: AtomicUsize,
+    plans_paths: AtomicBool,
 }
 
 impl OrderHandler {
@@ -62,7 +67,9 @@ impl OrderHandler {
     ) -> Self {
         let rate = Mutex::new(Bucket::new(ORDERS_PER_S, BURST));
         let hand = Mutex::default();
-        Self { panel, to_loop, notes, can, rate, hand, areas: AtomicUsize::new(0) }
+        let areas = AtomicUsize::new(0);
+        let plans_paths = AtomicBool::new(can.plans_paths);
+        Self { panel, to_loop, notes, can, rate, hand, areas, plans_paths }
     }
 
     /// Carries an order out or refuses it.
@@ -151,6 +158,7 @@ impl OrderHandler {
                 let Some(change) = order.area() else { return Err("not an area".to_owned()) };
                 self.change_areas(change)
             }
+            Order::ExploreBy { policy } => self.explore_by(policy),
             Order::Pause
             | Order::Resume
             | Order::GoTo { .. }
@@ -162,8 +170,22 @@ impl OrderHandler {
         }
     }
 
+    fn explore_by(&self, policy: PolicyKind) -> Result<String, String> {
+        let keeps_out = self.can.keeps_out || self.areas.load(Ordering::Relaxed) > 0;
+        if keeps_out && !policy.plans_paths() {
+            return Err(format!(
+                "the policy `{}` plans no paths and would enter the closed areas",
+                policy.name()
+            ));
+        }
+        let task = LoopOrder::Task(Task::ExploreBy { policy });
+        let done = self.pass(task, "the robot explores by it from its next tick on")?;
+        self.plans_paths.store(policy.plans_paths(), Ordering::Relaxed);
+        Ok(done)
+    }
+
     fn change_areas(&self, change: AreaChange) -> Result<String, String> {
-        if !self.can.plans_paths {
+        if !self.plans_paths.load(Ordering::Relaxed) {
             return Err("this run's policy plans no paths and would enter closed areas".to_owned());
         }
         let count = match change {
@@ -241,7 +263,7 @@ mod tests {
     }
 
     fn fixture(keeps_map: bool) -> Fixture {
-        able(Abilities { keeps_map, plans_paths: true })
+        able(Abilities { keeps_map, plans_paths: true, keeps_out: false })
     }
 
     fn able(can: Abilities) -> Fixture {
@@ -334,9 +356,29 @@ mod tests {
         assert!(take(close).unwrap_err().contains("open them first"));
         take(Order::OpenAreas).unwrap();
         take(close).unwrap();
-        let random = able(Abilities { keeps_map: true, plans_paths: false });
+        let random = able(Abilities { keeps_map: true, plans_paths: false, keeps_out: false });
         let answer = random.handler.take(&line(Role::Steer, close));
         assert!(!answer.accepted && answer.text.contains("plans no paths"), "{answer:?}");
+    }
+
+    #[test]
+    fn a_policy_without_paths_is_refused_while_areas_are_closed_and_no_area_is_closed_after_it() {
+        let by = |policy| Order::ExploreBy { policy };
+        let close = Order::KeepOut { corners_m: [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]] };
+        let fixture = fixture(false);
+        let accepts = |order| {
+            let answer = fixture.handler.take(&line(Role::Steer, order));
+            let _ = fixture.to_loop.try_recv();
+            answer.accepted
+        };
+        assert!(accepts(close) && accepts(by(PolicyKind::Frontier)));
+        assert!(!accepts(by(PolicyKind::Random)));
+        assert!(accepts(Order::OpenAreas) && accepts(by(PolicyKind::Random)));
+        assert!(!accepts(close));
+        assert!(accepts(by(PolicyKind::Active)) && accepts(close));
+        let fenced = able(Abilities { keeps_map: false, plans_paths: true, keeps_out: true });
+        let answer = fenced.handler.take(&line(Role::Steer, by(PolicyKind::Forward)));
+        assert!(!answer.accepted && answer.text.contains("`forward` plans no paths"), "{answer:?}");
     }
 
     #[test]

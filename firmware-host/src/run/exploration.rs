@@ -89,7 +89,7 @@ impl Exploration {
         ExplorationStatus {
             ticks: self.session.ticks(),
             skipped: self.session.skipped(),
-            policy: robot.config().policy.name().to_owned(),
+            policy: robot.explorer().policy().name().to_owned(),
             goal: robot.explorer().goal().map(|goal| {
                 let [x_m, y_m] = goal.target_m;
                 format!("{} at ({x_m:.2}, {y_m:.2}) m", goal.why.name())

@@ -18,7 +18,7 @@ pub(super) fn write(
     robot: &Robot,
     log: RunLog,
 ) -> Result<Vec<&'static str>, ReportError> {
-    let policy = robot.config().policy.name();
+    let policy = robot.explorer().policy().name();
     let title = format!("{policy}, {} frames", log.frames);
     let mut written = Vec::new();
     if let Some(known) = KnownCells::of(robot.map()) {

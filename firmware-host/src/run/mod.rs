@@ -42,7 +42,7 @@ use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::model::{Keeper, LiveModels};
 
-use crate::check::Speed;
+use crate::check::{self, Speed};
 use crate::identity;
 use crate::keep_out;
 use crate::live::{self, Live};
@@ -75,6 +75,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     config.planning.arcs = true;
     keep_out::close(args.keep_out.as_deref(), args.policy.into(), &mut config)?;
     config.check_devices(&args.config)?;
+    check::require(&config, &args.config)?;
     // The lock is taken before anything is opened or written, so that a running instance is not disturbed.
     let _lock = InstanceLock::on(&config.devices.base.bus)?;
     let camera = config.camera.model();

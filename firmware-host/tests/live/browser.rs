@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use live_view::access::Access;
+use live_view::access::{Access, Transport};
 use live_view::robot::Robot;
 use live_view::server;
 use tokio::net::TcpListener;
@@ -15,7 +15,7 @@ use super::explore::Explore;
 async fn serve(run: &Explore) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
-    let access = Access::new(address.ip(), None, Vec::new()).unwrap();
+    let access = Access::new(address.ip(), Transport::Plain, None, Vec::new()).unwrap();
     let robot = Robot::connect(&run.socket());
     tokio::spawn(server::serve(listener, robot, access));
     format!("http://{address}/")
@@ -78,7 +78,7 @@ async fn the_page_shows_a_run_and_its_buttons_act() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_person_drives_by_hand_with_a_key_and_draws_an_area() {
+async fn a_person_drives_by_hand_with_a_key_chooses_a_policy_and_draws_an_area() {
     let Some(program) = program() else { return };
     let mut run = Explore::start(&["--seed", "1", "--no-recording"]);
     let page = serve(&run).await;
@@ -100,6 +100,10 @@ async fn a_person_drives_by_hand_with_a_key_and_draws_an_area() {
     browser.click("#hand").await;
     browser.press_key("p").await;
     browser.wait("a pause", &format!("{}.startsWith('Paused')", text("why"))).await;
+
+    browser.choose("#policy", "frontier").await;
+    browser.wait("the answer", &format!("{}.startsWith('explore by: ')", text("answer"))).await;
+    browser.wait("exploring", &format!("!{}.startsWith('Paused')", text("why"))).await;
 
     browser.click("#draw").await;
     browser.wait("the question", &is_shown("fence")).await;

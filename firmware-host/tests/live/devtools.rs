@@ -127,6 +127,15 @@ impl Browser {
         }
     }
 
+    /// Chooses an entry of a list.
+    pub async fn choose(&mut self, selector: &str, value: &str) {
+        let choose = format!(
+            "(() => {{ const list = document.querySelector('{selector}'); list.value = '{value}';
+             list.dispatchEvent(new Event('change')); return true; }})()"
+        );
+        self.value(&choose).await;
+    }
+
     pub async fn press_key(&mut self, key: &str) {
         self.key("keyDown", key).await;
         self.key("keyUp", key).await;

@@ -4,7 +4,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
-use live_view::access::Access;
+use live_view::access::{Access, Transport};
 use live_view::robot::Robot;
 use live_view::server;
 use serde_json::{Value, json};
@@ -25,7 +25,7 @@ const PAIRS: usize = 3;
 async fn serve(socket: &std::path::Path) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
-    let access = Access::new(address.ip(), None, Vec::new()).unwrap();
+    let access = Access::new(address.ip(), Transport::Plain, None, Vec::new()).unwrap();
     tokio::spawn(server::serve(listener, Robot::connect(socket), access));
     format!("ws://{address}/")
 }

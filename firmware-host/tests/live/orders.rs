@@ -6,6 +6,7 @@ use std::process::Command;
 
 use live_link::Order;
 use runtime::event::Event;
+use runtime::exploration::PolicyKind;
 use runtime::operator::{OperatorOrder, Role};
 use runtime::recording::RecordingReader;
 use runtime::task::Task;
@@ -104,16 +105,43 @@ fn a_drive_by_hand_and_a_drawn_area_act_are_recorded_replayed_and_the_area_is_ke
     visitor.wait_now("the hand's velocity", |now| now["angular_radps"] == 0.2);
     let words = "Stands where it was driven by hand. Press Resume to explore.";
     visitor.wait_now("standing", |now| now["why"] == words && now["angular_radps"] == 0.0);
+    let blind = visitor.order(Role::Steer, Order::ExploreBy { policy: PolicyKind::Random });
+    assert!(!blind.accepted && blind.text.contains("closed areas"), "{blind:?}");
+    let policy = PolicyKind::Frontier;
+    assert!(visitor.order(Role::Steer, Order::ExploreBy { policy }).accepted);
+    visitor.wait_now("exploring", |now| now["stands"] == false);
     drop(visitor);
     run.end();
 
-    let (orders, tasks) = recorded(&run);
+    let (orders, mut tasks) = recorded(&run);
+    assert_eq!(tasks.pop(), Some(Task::ExploreBy { policy }));
     let words: Vec<&str> = orders.iter().map(|order| order.what.as_str()).collect();
     let close = "keep out of (5.00, 0.00), (6.00, 0.00), (6.00, 1.00), (5.00, 1.00) m";
-    assert_eq!(words, [close, "drive by hand"]);
+    let by = ["explore by the policy `random`", "explore by the policy `frontier`"];
+    assert_eq!(words, [close, "drive by hand", by[0], by[1]]);
     assert!(tasks.len() > 3 && tasks.iter().all(|task| Some(*task) == rotation.task()));
     let said = replay(&run);
     assert!(said.contains("mismatches=0"), "{said}");
+}
+
+#[test]
+fn a_robot_pauses_when_its_last_watcher_is_gone_where_the_configuration_says_so() {
+    let config = "[camera]\nwidth = 320\nheight = 96\n[live]\npause_when_unwatched_s = 0.3\n";
+    let mut run = Explore::with(config, &["--seed", "1"]);
+    let mut visitor = Visitor::come(&run.socket());
+    visitor.subscribe(&["/robot/now"]);
+    visitor.wait_now("driving", |now| now["stands"] == false);
+    drop(visitor);
+    let paused = |run: &Explore| {
+        let mut visitor = Visitor::come(&run.socket());
+        visitor.subscribe(&["/robot/now"]);
+        visitor.wait_now("a tick", |_| true)["why"] == "Paused. Press Resume to go on."
+    };
+    run.wait("the pause", paused);
+    run.end();
+    let (orders, tasks) = recorded(&run);
+    assert_eq!(tasks, [Task::Pause]);
+    assert!(orders[0].what.contains("no client watches"), "{orders:?}");
 }
 
 #[test]

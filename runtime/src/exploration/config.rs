@@ -31,6 +31,15 @@ impl PolicyKind {
         Self::Active,
     ];
 
+    /// Whether it drives along planned paths only, and so can keep out of areas.
+    #[must_use]
+    pub fn plans_paths(self) -> bool {
+        match self {
+            Self::Random | Self::Heuristic | Self::Forward => false,
+            Self::Frontier | Self::Inconsistency | Self::Active => true,
+        }
+    }
+
     /// The name on the command line and in the summary.
     #[must_use]
     pub fn name(self) -> &'static str {

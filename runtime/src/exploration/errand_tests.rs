@@ -75,7 +75,7 @@ impl Drive {
     }
 
     fn begin(&mut self, task: Task) {
-        self.explorer.begin(task, self.time_ns(), &mut self.events);
+        self.explorer.begin(task, self.tick, self.time_ns(), &mut self.events);
     }
 
     /// The last primitives of a drive over some ticks.
@@ -258,4 +258,26 @@ fn drawn_areas_and_a_drive_by_hand_are_in_a_snapshot() {
     restored.explorer.read(&mut bytes.as_slice()).unwrap();
     assert_eq!(restored.explorer.keep_out(), drive.explorer.keep_out());
     assert!(restored.explorer.hand_velocity(HOLD_NS - 1).is_some());
+}
+
+#[test]
+fn another_policy_drives_from_the_next_tick_on_and_is_in_a_snapshot() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.steps(20);
+    drive.begin(Task::Pause);
+    drive.begin(Task::ExploreBy { policy: PolicyKind::Forward });
+    assert_eq!(drive.explorer.policy(), PolicyKind::Forward);
+    assert_eq!(drive.steps(10), [Primitive::Forward; 10]);
+    assert!(drive.explorer.goal().is_none());
+    let mut bytes = Vec::new();
+    drive.explorer.write(&mut bytes);
+    let mut restored = Drive::new(ExplorationConfig::default());
+    restored.explorer.read(&mut bytes.as_slice()).unwrap();
+    assert_eq!(restored.steps(10), [Primitive::Forward; 10]);
+    // The alternation of `active` begins anew, with frontiers.
+    drive.begin(Task::ExploreBy { policy: PolicyKind::Active });
+    drive.events.clear();
+    drive.steps(50);
+    let is_switch = |event: &Event| matches!(event, Event::PolicySwitched { .. });
+    assert!(!drive.events.iter().any(is_switch), "{:?}", drive.events);
 }

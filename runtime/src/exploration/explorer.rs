@@ -87,23 +87,13 @@ impl Explorer {
         follower: &FollowerConfig,
         rng: Pcg64Mcg,
     ) -> Result<Self, ConfigError> {
-        let blind = match kind {
-            PolicyKind::Random => BlindPolicy::Random,
-            PolicyKind::Forward => BlindPolicy::Forward { rotations_left: 0 },
-            _ => BlindPolicy::Heuristic { queue: VecDeque::new() },
-        };
-        let mode = if kind == PolicyKind::Inconsistency {
-            GoalReason::Inconsistency
-        } else {
-            GoalReason::Frontier
-        };
         Ok(Self {
             kind,
             config,
             rng,
-            blind,
+            blind: blind_part(kind),
             warm_up: BlindPolicy::Heuristic { queue: VecDeque::new() },
-            mode,
+            mode: first_mode(kind),
             mode_since: config.warm_up_frames,
             goal: None,
             navigator: Navigator::new(plan)?,
@@ -137,8 +127,14 @@ impl Explorer {
         self.errand.as_ref().is_some_and(Errand::is_standing)
     }
 
-    /// Takes a task of the operator at `time_ns`, in place of the one before.
-    pub fn begin(&mut self, task: Task, time_ns: u64, events: &mut Vec<Event>) {
+    /// The policy by which the robot explores.
+    #[must_use]
+    pub fn policy(&self) -> PolicyKind {
+        self.kind
+    }
+
+    /// Takes a task of the operator in this tick, in place of the one before.
+    pub fn begin(&mut self, task: Task, tick: u64, time_ns: u64, events: &mut Vec<Event>) {
         if self.goal().is_some() {
             events.push(Event::GoalDropped { why: DropReason::Task });
         }
@@ -146,6 +142,13 @@ impl Explorer {
         self.choose_at = 0;
         self.errand = match task {
             Task::Explore => self.return_after_exploration(),
+            Task::ExploreBy { policy } => {
+                self.kind = policy;
+                self.blind = blind_part(policy);
+                self.mode = first_mode(policy);
+                self.mode_since = tick.max(self.config.warm_up_frames);
+                self.return_after_exploration()
+            }
             Task::GoTo { x_m, y_m } => Some(Errand::to_place([x_m, y_m])),
             // Before its first decision the robot is at its start.
             Task::Pause => Some(Errand::HERE),
@@ -514,6 +517,23 @@ impl Explorer {
     }
 }
 
+/// The blind policy that is this one, or that drives while it has no goal.
+fn blind_part(kind: PolicyKind) -> BlindPolicy {
+    match kind {
+        PolicyKind::Random => BlindPolicy::Random,
+        PolicyKind::Forward => BlindPolicy::Forward { rotations_left: 0 },
+        _ => BlindPolicy::Heuristic { queue: VecDeque::new() },
+    }
+}
+
+/// The kind of goals with which a policy begins.
+fn first_mode(kind: PolicyKind) -> GoalReason {
+    match kind {
+        PolicyKind::Inconsistency => GoalReason::Inconsistency,
+        _ => GoalReason::Frontier,
+    }
+}
+
 /// Whether unknown floor still meets free floor near `place_m`.
 fn frontier_is_left(map: &OccupancyGrid, place_m: [f64; 2]) -> bool {
     let steps = (FRONTIER_RADIUS_M / map.cell_m()).ceil() as i32;
@@ -529,7 +549,7 @@ fn frontier_is_left(map: &OccupancyGrid, place_m: [f64; 2]) -> bool {
 }
 
 remembers!(
-    Explorer: rng, blind, warm_up, mode, mode_since, goal, follower, blacklist, recent_positions_m, plan_at, choose_at, start, ending, errand, navigator
+    Explorer: kind, rng, blind, warm_up, mode, mode_since, goal, follower, blacklist, recent_positions_m, plan_at, choose_at, start, ending, errand, navigator
 );
 
 #[cfg(test)]

@@ -327,7 +327,7 @@ impl Robot {
             self.explorer.change_areas(*change);
         }
         if let Some(task) = input.task {
-            self.explorer.begin(task, input.time_ns, &mut events);
+            self.explorer.begin(task, input.tick, input.time_ns, &mut events);
         }
         if let Some(why) = self.refusal(input) {
             events.push(Event::InputRefused { why });

@@ -8,6 +8,7 @@ use drivers::stop_line::StopLine;
 use hal::{Base, Clock, LaserScan, Lidar, Pose2, Twist2, WheelFeedback, wrap_angle};
 use runtime::event::FaultReason;
 use runtime::safety::{Orders, Plan, Request, SafetyLoop, SafetyState, scanner_motion};
+use serde::{Deserialize, Serialize};
 
 use super::judge::Assumed;
 use crate::run::state_words;
@@ -61,7 +62,7 @@ pub enum CourseError {
 }
 
 /// A motion as wheels and scanner measured it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Motion {
     /// Of `base_link`, by the wheels.
     pub wheels: Pose2,
@@ -70,7 +71,7 @@ pub struct Motion {
 }
 
 /// What was measured.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
     /// Speed before the first stop, m/s.
     pub speed_mps: f64,

@@ -22,6 +22,7 @@ use crate::config::Config;
 use crate::failure::sentence;
 use crate::report::fit;
 use crate::run::{InstanceLock, open_for_safety};
+pub use file::require;
 use judge::Assumed;
 use measure::Course;
 
@@ -58,7 +59,7 @@ pub fn run(config: &Config, path: &Path, is_confirmed: bool) -> Result<ExitCode>
     let measured = measured?;
     let judgements = judge::all(&measured, &assumed);
     println!("\n{}", fit::text(&judge::table(&judgements), fit::columns()));
-    match file::write(path, &measured, &assumed, &judgements) {
+    match file::write(config, path, &measured, &assumed, &judgements) {
         Ok(file) => println!("\nThe numbers are in {}.", file.display()),
         // The person has them on the screen.
         Err(error) => eprintln!("warning: {}", sentence(&error)),

@@ -16,7 +16,7 @@ use runtime::safety::SafetyLoop;
 use super::judge::{self, Assumed, Judgement};
 use super::measure::{Course, CourseError, Measured};
 use super::{confirm, file};
-use crate::config::Config;
+use crate::config::{Commissioning, Config};
 
 const MS: u64 = 1_000_000;
 const WATCHDOG_NS: u64 = 100 * MS;
@@ -267,7 +267,7 @@ fn the_file_has_the_date_the_numbers_and_what_is_worse() {
     let folder = tempfile::tempdir().unwrap();
     let (measured, judgements) = driven(Robot { brake_mps2: 0.4, ..Robot::new() });
     let path = folder.path().join("robot.toml");
-    let path = file::write(&path, &measured, &assumed(), &judgements).unwrap();
+    let path = file::write(&Config::default(), &path, &measured, &assumed(), &judgements).unwrap();
     assert!(path.ends_with("commissioning.toml"));
     let written: toml::Table = std::fs::read_to_string(path).unwrap().parse().unwrap();
     assert!(written["date"].as_str().unwrap().ends_with('Z'));
@@ -285,4 +285,30 @@ fn a_room_that_the_scanner_does_not_see_is_not_measured_and_not_good() {
     let not_measured: Vec<_> = judgements.iter().filter(|one| one.is_worse).collect();
     assert_eq!(not_measured.len(), 2);
     assert!(not_measured.iter().all(|one| one.measured == "not measured"));
+}
+
+#[test]
+fn run_starts_only_beside_a_measurement_that_bears_out_what_it_assumes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("robot.toml");
+    let mut config = Config::default();
+    file::require(&config, &path).unwrap();
+    config.run.commissioning = Commissioning::Measured;
+    let why = |config: &Config| file::require(config, &path).unwrap_err().to_string();
+    assert!(why(&config).contains("check --drive") && why(&config).contains("commissioning.toml"));
+    let (measured, judgements) = driven(Robot::new());
+    file::write(&config, &path, &measured, &assumed(), &judgements).unwrap();
+    file::require(&config, &path).unwrap();
+
+    let mut other = config.clone();
+    other.devices.base.track_m *= 1.2;
+    assert!(why(&other).contains("devices.base.track_m was another one"), "{}", why(&other));
+    let mut hopeful = config.clone();
+    hopeful.run.brake_mps2 = 5.0;
+    assert!(why(&hopeful).contains("braking distance was measured as"), "{}", why(&hopeful));
+    assert!(why(&hopeful).contains("run.brake_mps2 = "), "{}", why(&hopeful));
+    hopeful.run.commissioning = Commissioning::ByHand;
+    file::require(&hopeful, &path).unwrap();
+    std::fs::write(folder.path().join("commissioning.toml"), "measured = 1").unwrap();
+    assert!(why(&config).contains("commissioning.toml: "), "{}", why(&config));
 }
