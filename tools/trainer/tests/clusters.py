@@ -14,6 +14,8 @@ from embodied_depth_trainer.cluster import quiet
 CPUS = 2
 # The least that Ray accepts is about 75 MiB.
 OBJECT_STORE_BYTES = 80 << 20
+# One for all clusters of this process, because Ray reads it only once.
+TOKEN = secrets.token_hex(32)
 
 
 @contextmanager
@@ -23,7 +25,7 @@ def small_cluster() -> Iterator[None]:
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         # A token in the environment, because Ray would write a new one into the home directory.
         patch.setenv("RAY_AUTH_MODE", "token")
-        patch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
+        patch.setenv("RAY_AUTH_TOKEN", TOKEN)
         # Otherwise workers leave the processor to every other program (15), and tests beside one take minutes.
         patch.setenv("RAY_worker_niceness", "0")
         patch.delenv("RAY_ADDRESS", raising=False)

@@ -68,14 +68,16 @@ fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
     for (_, program) in &programs {
         cargo.args(["--bin", program]);
     }
+    if uses("$PACKAGE") {
+        cargo.args(package::PROGRAMS.iter().flat_map(|program| ["--bin", program]));
+    }
     command::run(&mut cargo)?;
     let folder = paths::target().join("debug");
     let mut found: Vec<_> =
         programs.into_iter().map(|(variable, name)| (variable, folder.join(name))).collect();
     if uses("$PACKAGE") {
-        let folder = paths::target().join("rig/package");
-        let program = paths::target().join("debug/firmware-host");
-        found.push(("PACKAGE", package::make(Arch::of_this_computer(), &program, &folder)?));
+        let packages = paths::target().join("rig/package");
+        found.push(("PACKAGE", package::make(Arch::of_this_computer(), &folder, &packages)?));
     }
     let mut texts = Vec::new();
     for (variable, path) in found {
