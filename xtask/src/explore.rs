@@ -30,8 +30,7 @@ pub fn explore(arguments: &[&str], out: &Path) -> Result<Value> {
         ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
     let text = std::fs::read_to_string(&file).with_context(|| file.display().to_string())?;
-    let summary: Value =
-        serde_json::from_str(&text).with_context(|| file.display().to_string())?;
+    let summary: Value = serde_json::from_str(&text).with_context(|| file.display().to_string())?;
     // It has a summary, too, of the part that was driven.
     let is_whole = summary["end_reason"] != "interrupted";
     ensure!(is_whole, "{} was interrupted: remove this folder, and run again", out.display());
