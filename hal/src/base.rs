@@ -22,6 +22,15 @@ impl Twist2 {
         self.linear_mps.is_finite() && self.angular_radps.is_finite()
     }
 
+    /// The fastest twist within these limits, m/s and rad/s, that leads along the same arc.
+    #[must_use]
+    pub fn within(&self, most_mps: f64, most_radps: f64) -> Self {
+        let over_v = self.linear_mps.abs() / most_mps;
+        let over_w = self.angular_radps.abs() / most_radps;
+        let scale = over_v.max(over_w).max(1.0).recip();
+        Self { linear_mps: self.linear_mps * scale, angular_radps: self.angular_radps * scale }
+    }
+
     /// The displacement after moving for `seconds` at this constant velocity, as `t_before_after`.
     /// Exact along the arc, not an Euler step.
     #[must_use]
@@ -165,6 +174,21 @@ pub trait Base: ErrorType {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_limited_twist_keeps_its_arc_and_its_directions(v in -3.0..3.0f64, w in -3.0..3.0f64) {
+            let twist = Twist2 { linear_mps: v, angular_radps: w };
+            let limited = twist.within(0.5, 1.0);
+            prop_assert!(limited.linear_mps.abs() <= 0.5 + 1e-12);
+            prop_assert!(limited.angular_radps.abs() <= 1.0 + 1e-12);
+            prop_assert!((limited.linear_mps * w - limited.angular_radps * v).abs() < 1e-12);
+            prop_assert!(limited.linear_mps * v >= 0.0 && limited.angular_radps * w >= 0.0);
+            if v.abs() <= 0.5 && w.abs() <= 1.0 {
+                prop_assert_eq!(limited, twist);
+            }
+        }
+    }
 
     #[test]
     fn a_quarter_circle_to_the_left_ends_one_radius_ahead_and_one_radius_left() {

@@ -39,7 +39,7 @@ impl Limiter {
         if !(desired.is_finite() && is_time) {
             return None;
         }
-        let target = self.within_velocity_limits(desired);
+        let target = desired.within(self.config.linear_mps, self.config.angular_radps);
         let dv = target.linear_mps - self.now.linear_mps;
         let dw = target.angular_radps - self.now.angular_radps;
         let (v_limit, v_slows) = acceleration_limit(
@@ -88,17 +88,6 @@ impl Limiter {
         let falling = (2.0 * needed_s / rise_s).sqrt();
         // The lower bound makes sure that the target is reached.
         rising.min(falling).clamp((seconds / rise_s).min(1.0), 1.0)
-    }
-
-    /// Scales a twist down to the velocity limits, on the same arc.
-    fn within_velocity_limits(&self, desired: &Twist2) -> Twist2 {
-        let over_v = desired.linear_mps.abs() / self.config.linear_mps;
-        let over_w = desired.angular_radps.abs() / self.config.angular_radps;
-        let scale = over_v.max(over_w).max(1.0).recip();
-        Twist2 {
-            linear_mps: desired.linear_mps * scale,
-            angular_radps: desired.angular_radps * scale,
-        }
     }
 }
 

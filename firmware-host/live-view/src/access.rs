@@ -29,6 +29,16 @@ impl std::fmt::Display for Refused {
 
 impl std::error::Error for Refused {}
 
+/// Refuses a file with a secret that other users can read.
+pub(crate) fn refuse_if_others_can_read(path: &Path) -> Result<(), Refused> {
+    let name = path.display();
+    let about = std::fs::metadata(path).map_err(|error| Refused(format!("{name}: {error}")))?;
+    if about.permissions().mode() & 0o077 != 0 {
+        return Err(Refused(format!("{name}: other users can read it: chmod 600 {name}")));
+    }
+    Ok(())
+}
+
 /// A client that may connect.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Identity {
@@ -51,13 +61,7 @@ impl Tokens {
     /// A file that others can read, or with a line that is not a token.
     pub fn read(path: &Path) -> Result<Self, Refused> {
         let refused = |why: String| Refused(format!("{}: {why}", path.display()));
-        let about = std::fs::metadata(path).map_err(|error| refused(error.to_string()))?;
-        if about.permissions().mode() & 0o077 != 0 {
-            return Err(refused(format!(
-                "other users can read the tokens: chmod 600 {}",
-                path.display()
-            )));
-        }
+        refuse_if_others_can_read(path)?;
         let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
         Self::parse(&text).map_err(refused)
     }

@@ -18,9 +18,9 @@ use crate::protocol::{self, Call, ClientChannel, Request, Subscription};
 use crate::publish;
 use crate::robot::{Link, Listener, Robot};
 
-/// Clients are asked this often whether they are there; browsers and WebSocket libraries answer on their own. One that has been
-/// silent for the second time is gone.
+/// Period of the pings to a client. Browsers and WebSocket libraries answer them on their own.
 const PING_EVERY: Duration = Duration::from_secs(1);
+/// A client that has sent nothing for this long, no answer to a ping either, is gone.
 const SILENT_FOR: Duration = Duration::from_secs(4);
 /// A client that takes nothing for this long is cut off.
 const TAKES_WITHIN: Duration = Duration::from_secs(5);

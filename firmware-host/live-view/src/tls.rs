@@ -2,7 +2,6 @@
 
 use std::io;
 use std::net::SocketAddr;
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,7 +16,7 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
 
-use crate::access::Refused;
+use crate::access::{Refused, refuse_if_others_can_read};
 
 /// A client that has not finished its handshake after this time is cut off.
 const HANDSHAKE_WITHIN: Duration = Duration::from_secs(10);
@@ -36,10 +35,7 @@ pub fn config(certificate: &Path, key: &Path) -> Result<Arc<ServerConfig>, Refus
     let of = |path: &Path, why: &dyn ToString| {
         Refused::new(format!("{}: {}", path.display(), why.to_string()))
     };
-    let about = std::fs::metadata(key).map_err(|error| of(key, &error))?;
-    if about.permissions().mode() & 0o077 != 0 {
-        return Err(of(key, &format!("other users can read the key: chmod 600 {}", key.display())));
-    }
+    refuse_if_others_can_read(key)?;
     let chain = CertificateDer::pem_file_iter(certificate)
         .and_then(Iterator::collect::<Result<Vec<_>, _>>)
         .map_err(|error| of(certificate, &error))?;

@@ -135,7 +135,8 @@ async fn clients_that_never_finish_their_handshake_do_not_keep_others_waiting() 
 fn a_key_that_others_can_read_and_files_that_do_not_fit_are_refused_with_their_name() {
     let files = Files::new();
     let other = Files::new();
-    let (certificate, key) = (files.path("cert.pem"), files.path("key.pem"));
+    let certificate = files.path("cert.pem");
+    let key = files.path("key.pem");
     let why = |certificate: &Path, key: &Path| {
         tls::config(certificate, key).map(drop).unwrap_err().to_string()
     };

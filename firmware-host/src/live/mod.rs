@@ -92,12 +92,12 @@ pub fn socket_of(argument: Option<&Path>, config: &Config) -> Option<PathBuf> {
 pub fn abilities(map: Option<&KeptMap>, policy: PolicyKind, config: &Config) -> Result<Abilities> {
     let can_keep_out = keep_out::can_keep_out(policy, config);
     let plans_paths = can_keep_out.is_ok();
-    let has_drawn = map.is_some_and(|map| map.area_changes().next().is_some());
-    if has_drawn {
+    let drawn = map.map_or(0, |map| map.area_changes().count());
+    if drawn > 0 {
         can_keep_out.context("areas are drawn on the map")?;
     }
-    let keeps_out = has_drawn || !config.planning.keep_out_m.is_empty();
-    Ok(Abilities { keeps_map: map.is_some(), plans_paths, keeps_out })
+    let keeps_out = !config.planning.keep_out_m.is_empty();
+    Ok(Abilities { keeps_map: map.is_some(), plans_paths, keeps_out, drawn })
 }
 
 impl Live {

@@ -40,8 +40,10 @@ pub struct Abilities {
     pub keeps_map: bool,
     /// Its policy drives along planned paths only.
     pub plans_paths: bool,
-    /// Some areas are closed from the beginning.
+    /// The configuration closes areas, which stay closed.
     pub keeps_out: bool,
+    /// Number of areas that were drawn on the map in earlier runs.
+    pub drawn: usize,
 }
 
 /// Takes orders.
@@ -67,7 +69,7 @@ impl OrderHandler {
     ) -> Self {
         let rate = Mutex::new(Bucket::new(ORDERS_PER_S, BURST));
         let hand = Mutex::default();
-        let areas = AtomicUsize::new(0);
+        let areas = AtomicUsize::new(can.drawn);
         let plans_paths = AtomicBool::new(can.plans_paths);
         Self { panel, to_loop, notes, can, rate, hand, areas, plans_paths }
     }
@@ -185,26 +187,33 @@ impl OrderHandler {
     }
 
     fn change_areas(&self, change: AreaChange) -> Result<String, String> {
-        if !self.plans_paths.load(Ordering::Relaxed) {
-            return Err("this run's policy plans no paths and would enter closed areas".to_owned());
-        }
-        let count = match change {
-            AreaChange::OpenAll => 0,
-            AreaChange::Close { .. } => self.areas.load(Ordering::Relaxed) + 1,
-        };
-        if count > MOST_AREAS {
-            return Err(format!("{MOST_AREAS} areas are closed already: open them first"));
-        }
-        let says = match (change, self.can.keeps_map) {
-            (AreaChange::OpenAll, _) => "all areas that were drawn are open with the next tick",
-            (_, true) => "the robot plans around it from its next tick on; it is kept with the map",
-            (_, false) => {
-                "the robot plans around it until this run ends; with --map FILE it is kept"
-            }
+        let (count, says) = match change {
+            AreaChange::OpenAll => (0, "all areas that were drawn are open with the next tick"),
+            AreaChange::Close { .. } => (self.count_with_another_area()?, self.kept_words()),
         };
         let done = self.pass(LoopOrder::Area(change), says)?;
         self.areas.store(count, Ordering::Relaxed);
         Ok(done)
+    }
+
+    fn count_with_another_area(&self) -> Result<usize, String> {
+        if !self.plans_paths.load(Ordering::Relaxed) {
+            return Err("this run's policy plans no paths and would enter closed areas".to_owned());
+        }
+        let count = self.areas.load(Ordering::Relaxed) + 1;
+        if count > MOST_AREAS {
+            return Err(format!("{MOST_AREAS} areas are closed already: open them first"));
+        }
+        Ok(count)
+    }
+
+    /// How long an area stays closed.
+    fn kept_words(&self) -> &'static str {
+        if self.can.keeps_map {
+            "the robot plans around it from its next tick on; it is kept with the map"
+        } else {
+            "the robot plans around it until this run ends; with --map FILE it is kept"
+        }
     }
 
     /// Says only then that the robot is stopped when the safety plane has.
@@ -262,8 +271,11 @@ mod tests {
         notes: Receiver<OperatorOrder>,
     }
 
+    const PLANS: Abilities =
+        Abilities { keeps_map: false, plans_paths: true, keeps_out: false, drawn: 0 };
+
     fn fixture(keeps_map: bool) -> Fixture {
-        able(Abilities { keeps_map, plans_paths: true, keeps_out: false })
+        able(Abilities { keeps_map, ..PLANS })
     }
 
     fn able(can: Abilities) -> Fixture {
@@ -356,7 +368,7 @@ mod tests {
         assert!(take(close).unwrap_err().contains("open them first"));
         take(Order::OpenAreas).unwrap();
         take(close).unwrap();
-        let random = able(Abilities { keeps_map: true, plans_paths: false, keeps_out: false });
+        let random = able(Abilities { keeps_map: true, plans_paths: false, ..PLANS });
         let answer = random.handler.take(&line(Role::Steer, close));
         assert!(!answer.accepted && answer.text.contains("plans no paths"), "{answer:?}");
     }
@@ -376,9 +388,19 @@ mod tests {
         assert!(accepts(Order::OpenAreas) && accepts(by(PolicyKind::Random)));
         assert!(!accepts(close));
         assert!(accepts(by(PolicyKind::Active)) && accepts(close));
-        let fenced = able(Abilities { keeps_map: false, plans_paths: true, keeps_out: true });
+        let fenced = able(Abilities { keeps_out: true, ..PLANS });
         let answer = fenced.handler.take(&line(Role::Steer, by(PolicyKind::Forward)));
         assert!(!answer.accepted && answer.text.contains("`forward` plans no paths"), "{answer:?}");
+        // Areas of earlier runs can be opened; those of the configuration cannot.
+        for (can, is_free) in [
+            (Abilities { drawn: 3, ..PLANS }, true),
+            (Abilities { keeps_out: true, drawn: 3, ..PLANS }, false),
+        ] {
+            let drawn = able(can);
+            let take = |order| drawn.handler.take(&line(Role::Steer, order)).accepted;
+            assert!(!take(by(PolicyKind::Random)) && take(Order::OpenAreas));
+            assert_eq!(take(by(PolicyKind::Random)), is_free);
+        }
     }
 
     #[test]

@@ -18,7 +18,8 @@ use super::rate::pause;
 use super::socket::Server;
 use crate::control_panel::{ControlPanel, PanelReader};
 
-const CANNOT: Abilities = Abilities { keeps_map: false, plans_paths: false, keeps_out: false };
+const CANNOT: Abilities =
+    Abilities { keeps_map: false, plans_paths: false, keeps_out: false, drawn: 0 };
 
 struct Served {
     dir: tempfile::TempDir,

@@ -204,13 +204,17 @@ impl Memory {
         }
     }
 
+    /// What is added where the safety plane slows the robot down.
+    fn slowly(&self) -> &'static str {
+        if self.plane == Plane::Slow { ", slowly: an obstacle is near" } else { "" }
+    }
+
     fn exploration_words(&self) -> Words {
         if self.without_frames {
             return stands("Stopped: no camera image has come for too long.");
         }
         if self.by_hand {
-            let slow = if self.plane == Plane::Slow { ", slowly: an obstacle is near" } else { "" };
-            return drives(format!("Driven by hand{slow}."));
+            return drives(format!("Driven by hand{}.", self.slowly()));
         }
         if self.stands_lost {
             return stands("Lost, and it does not recognize this place. Move it to another place.");
@@ -233,8 +237,9 @@ impl Memory {
             });
         }
         if let Some((why, [x_m, y_m])) = self.goal {
-            let slow = if self.plane == Plane::Slow { ", slowly: an obstacle is near" } else { "" };
-            return drives(format!("Drives to ({x_m:.1}, {y_m:.1}) m: {}{slow}.", purpose(why)));
+            let why = purpose(why);
+            let slowly = self.slowly();
+            return drives(format!("Drives to ({x_m:.1}, {y_m:.1}) m: {why}{slowly}."));
         }
         if self.is_done {
             return drives("It has seen all floor that it can reach.".to_owned());

@@ -47,7 +47,7 @@ impl DrawnAreas {
         self.areas.iter().map(|corners_m| AreaChange::Close { corners_m: *corners_m })
     }
 
-    /// Takes a change, and writes the file anew.
+    /// Takes a change, and writes the file again.
     ///
     /// # Errors
     /// When it cannot be written.

@@ -274,10 +274,20 @@ fn another_policy_drives_from_the_next_tick_on_and_is_in_a_snapshot() {
     let mut restored = Drive::new(ExplorationConfig::default());
     restored.explorer.read(&mut bytes.as_slice()).unwrap();
     assert_eq!(restored.steps(10), [Primitive::Forward; 10]);
-    // The alternation of `active` begins anew, with frontiers.
+    // The alternation of `active` starts over, with frontiers.
     drive.begin(Task::ExploreBy { policy: PolicyKind::Active });
     drive.events.clear();
     drive.steps(50);
     let is_switch = |event: &Event| matches!(event, Event::PolicySwitched { .. });
     assert!(!drive.events.iter().any(is_switch), "{:?}", drive.events);
+}
+
+#[test]
+fn a_policy_without_paths_only_rotates_while_an_area_is_closed() {
+    let mut drive = Drive::new(ExplorationConfig::default());
+    drive.begin(Task::ExploreBy { policy: PolicyKind::Forward });
+    drive.explorer.change_areas(FENCE);
+    assert_eq!(drive.steps(20), [Primitive::TurnLeft; 20]);
+    drive.explorer.change_areas(AreaChange::OpenAll);
+    assert_eq!(drive.steps(5), [Primitive::Forward; 5]);
 }

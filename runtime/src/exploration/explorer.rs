@@ -201,15 +201,10 @@ impl Explorer {
         if self.errand.is_some() {
             return self.step_errand(senses, events);
         }
-        if senses.tick < self.config.warm_up_frames {
-            return self.warm_up.next(&mut self.rng, senses.bumped);
+        if self.is_warming_up(senses) || !self.kind.plans_paths() {
+            return self.step_without_path(senses);
         }
-        match self.kind {
-            PolicyKind::Random | PolicyKind::Heuristic | PolicyKind::Forward => {
-                self.blind.next(&mut self.rng, senses.bumped)
-            }
-            _ => self.step_to_goal(senses, events),
-        }
+        self.step_to_goal(senses, events)
     }
 
     /// Applies the correction of the map, `moved`, to the goal, the blacklist and the recorded positions. The next
@@ -259,13 +254,17 @@ impl Explorer {
         self.follow(senses, events).unwrap_or_else(|| self.step_without_path(senses))
     }
 
+    fn is_warming_up(&self, senses: &Observations<'_>) -> bool {
+        senses.tick < self.config.warm_up_frames
+    }
+
     /// Drives on blindly to observe more. With closed areas, which it might enter, it only rotates.
     fn step_without_path(&mut self, senses: &Observations<'_>) -> Primitive {
-        if self.navigator.keep_out().is_empty() {
-            self.blind.next(&mut self.rng, senses.bumped)
-        } else {
-            Primitive::TurnLeft
+        if !self.navigator.keep_out().is_empty() {
+            return Primitive::TurnLeft;
         }
+        let policy = if self.is_warming_up(senses) { &mut self.warm_up } else { &mut self.blind };
+        policy.next(&mut self.rng, senses.bumped)
     }
 
     fn record_position(&mut self, senses: &Observations<'_>) {

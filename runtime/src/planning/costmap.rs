@@ -326,7 +326,7 @@ fn quantised(weight: f64) -> u8 {
     (weight * f64::from(FREE)).round().clamp(f64::from(FREE), f64::from(HEAVIEST)) as u8
 }
 
-// All other fields are computed anew before they are used.
+// All other fields are computed again before they are used.
 remembers!(Costmap: keep_out);
 
 #[cfg(test)]

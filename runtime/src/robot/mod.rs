@@ -615,7 +615,7 @@ impl Robot {
         }
         let [forward, yaw_rate] = self.speeds();
         if let Some(by_hand) = self.explorer.hand_velocity(input.time_ns) {
-            return on_the_same_arc(by_hand, forward, yaw_rate);
+            return by_hand.within(forward, yaw_rate);
         }
         if self.whereabouts.lost().is_some() {
             // A person who has paused the robot may stand beside it.
@@ -756,14 +756,6 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 remembers!(
     Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
-
-/// The twist, or the fastest one within the limits that leads along the same arc.
-fn on_the_same_arc(twist: Twist2, most_mps: f64, most_radps: f64) -> Twist2 {
-    let over_v = twist.linear_mps.abs() / most_mps;
-    let over_w = twist.angular_radps.abs() / most_radps;
-    let scale = over_v.max(over_w).max(1.0).recip();
-    Twist2 { linear_mps: twist.linear_mps * scale, angular_radps: twist.angular_radps * scale }
-}
 
 /// Keeps the newest map and those of the `gap` frames before it.
 fn remember_frame_map(

@@ -450,13 +450,7 @@ impl SafetyPlane {
 
     /// The twist on the same arc within the limits of a slow restart.
     fn restrained(&self, time_ns: u64, twist: Twist2) -> Twist2 {
-        if time_ns >= self.creep_until_ns {
-            return twist;
-        }
-        let over_v = twist.linear_mps.abs() / CREEP_MPS;
-        let over_w = twist.angular_radps.abs() / CREEP_RADPS;
-        let scale = over_v.max(over_w).max(1.0).recip();
-        Twist2 { linear_mps: twist.linear_mps * scale, angular_radps: twist.angular_radps * scale }
+        if time_ns >= self.creep_until_ns { twist } else { twist.within(CREEP_MPS, CREEP_RADPS) }
     }
 
     /// Whether the robot may reverse with `twist` until the next call and can then still stop on
