@@ -53,6 +53,23 @@ fn init_replaces_no_file_without_force() {
 }
 
 #[test]
+fn a_real_robot_does_not_run_before_it_was_measured_on_the_floor() {
+    let dir = TempDir::new().unwrap();
+    let out = dir.path().join("robot.toml");
+    let answers = dir.path().join("answers.toml");
+    let devices =
+        "camera = \"unix:/nowhere/camera\"\nlidar_port = \"/nowhere/lidar\"\nbus = \"nowhere\"\n";
+    std::fs::write(&answers, format!("{devices}protocol = \"vesc\"\n")).unwrap();
+    let paths = [&out, &answers].map(|path| path.to_str().unwrap());
+    firmware_host(&["init", "--out", paths[0], "--answers", paths[1]]);
+    let run = dir.path().join("run");
+    let error =
+        firmware_host(&["run", "--config", paths[0], "--out", run.to_str().unwrap()]).stderr;
+    assert!(text(&error).contains("check --drive"), "{}", text(&error));
+    assert!(!run.exists());
+}
+
+#[test]
 fn init_names_every_wrong_answer_of_a_file_and_writes_nothing() {
     let dir = TempDir::new().unwrap();
     let out = dir.path().join("robot.toml");

