@@ -544,6 +544,17 @@ fn sigterm_and_sighup_leave_the_motors_idle_and_not_in_a_fault_of_their_watchdog
 }
 
 #[test]
+fn a_run_that_has_its_number_of_frames_leaves_the_motors_idle() {
+    let mut scene = Scene::with(Protocol::Odrive, "", &["--frames", "120", "--no-recording"]);
+    scene.drives_first();
+    assert!(scene.robot.wait().unwrap().success());
+    pause(500);
+    for node in scene.world.wheels().iter() {
+        assert!(!node.is_powered() && node.watchdog().expired == 0);
+    }
+}
+
+#[test]
 fn killed_in_the_middle_the_wheels_stand_and_the_recording_replays() {
     let mut scene = Scene::new(Protocol::Vesc);
     scene.drives_first();
@@ -712,6 +723,30 @@ fn a_robot_without_devices_says_which_are_missing_and_names_no_map_that_it_has_n
     let said = String::from_utf8_lossy(&output.stdout);
     assert!(said.contains("has mapped nothing") && !said.contains("map.png"), "{said}");
     assert!(!folder.path().join("run/map.png").exists());
+}
+
+#[test]
+fn a_robot_whose_closed_areas_cannot_be_read_does_not_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = without_devices(folder.path());
+    let missing = folder.path().join("areas.json");
+    let output = run.arg("--keep-out").arg(&missing).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && said.contains("areas.json"), "{said}");
+    assert!(!folder.path().join("run").exists());
+}
+
+#[test]
+fn a_robot_that_has_to_be_measured_first_does_not_run_without_its_measurement() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = without_devices(folder.path());
+    let config = std::fs::read_to_string(folder.path().join("robot.toml")).unwrap();
+    let config = config.replace("[run]\n", "[run]\ncommissioning = \"measured\"\n");
+    std::fs::write(folder.path().join("robot.toml"), config).unwrap();
+    let output = run.output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && said.contains("commissioning"), "{said}");
+    assert!(!folder.path().join("run").exists());
 }
 
 #[test]

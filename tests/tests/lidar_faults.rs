@@ -168,6 +168,70 @@ fn after_each_reconnect_the_configured_number_of_good_scans_precedes_the_first_r
 }
 
 #[test]
+fn after_a_silence_or_a_cover_the_good_scans_in_a_row_are_counted_again() {
+    let source = Counting::default();
+    let configure = |config| HokuyoConfig { good_scans: 5, ..config };
+    let mut bench = bench_with(Model::Utm30lx, Box::new(source.clone()), configure, |_| {});
+    let counts_again = |bench: &mut HokuyoBench, ends: &dyn Fn(&SimulatedHokuyo)| {
+        let before = source.scans.load(Ordering::SeqCst);
+        ends(&bench.device);
+        bench.until_scan();
+        let first = count_of(&bench.scan);
+        assert!(first >= before + 5, "scan {first} after {before}");
+    };
+    bench.until_scan();
+    bench.device.set_wire(WireFaults { is_stalled: true, ..WireFaults::default() });
+    bench.until_error(ErrorKind::Timeout);
+    counts_again(&mut bench, &|device| device.set_wire(WireFaults::default()));
+    bench.device.set_health(Health::Blind);
+    bench.until_error(ErrorKind::Fault);
+    counts_again(&mut bench, &|device| device.set_health(Health::Well));
+}
+
+#[test]
+fn good_scans_with_bad_ones_between_them_are_not_good_scans_in_a_row() {
+    let configure = |config| HokuyoConfig { good_scans: 100, ..config };
+    let room = Box::new(Room::new(Model::Utm30lx));
+    let mut bench = bench_with(Model::Utm30lx, room, configure, |_| {});
+    let monitor = bench.monitor.clone();
+    bench.until("the first good scan", |_| monitor.status().good > 0);
+    // Of 100 scans in a row, one is damaged almost surely.
+    bench.device.set_wire(WireFaults { flip_share: 0.3, ..WireFaults::default() });
+    bench.until("many good scans", |polled| {
+        assert!(!matches!(polled, Ok(true)), "a scan before 100 good ones in a row");
+        monitor.status().good > 120
+    });
+}
+
+#[test]
+fn a_scanner_whose_clock_jumped_is_set_up_again() {
+    let mut bench = bench(Model::Utm30lx);
+    bench.until_scan();
+    // Its clock is suddenly far in the future.
+    bench.device.set_clock_ppm(100e6);
+    bench.until_problem("timestamps jumped");
+    bench.device.set_clock_ppm(0.0);
+    bench.until_scan();
+}
+
+#[test]
+fn a_laser_that_cannot_be_switched_on_is_a_hardware_fault() {
+    let room = Box::new(Room::new(Model::Utm30lx));
+    let broken = |device: &SimulatedHokuyo| device.set_health(Health::LaserBroken);
+    let mut bench = bench_with(Model::Utm30lx, room, |config| config, broken);
+    let problem = bench.until_problem("hardware fault, status 01");
+    assert!(problem.contains("Laser malfunction"), "{problem}");
+    assert_eq!(bench.poll().unwrap_err().kind(), ErrorKind::Fault);
+}
+
+#[test]
+fn a_configuration_out_of_range_starts_no_driver() {
+    let config = HokuyoConfig::new(Port::Serial("/dev/null".into()));
+    let error = HokuyoLidar::open(HokuyoConfig { good_scans: 0, ..config }).unwrap_err();
+    assert!(error.to_string().contains("good_scans"), "{error}");
+}
+
+#[test]
 fn a_scan_of_nothing_but_errors_is_a_fault_and_not_free_space() {
     let mut bench = bench(Model::Utm30lx);
     bench.until_scan();

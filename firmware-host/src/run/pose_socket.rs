@@ -138,6 +138,13 @@ mod tests {
     }
 
     #[test]
+    fn only_the_robots_user_and_group_may_send_poses() {
+        let (folder, _socket, _sender) = open();
+        let file = std::fs::metadata(folder.path().join("pose.sock")).unwrap();
+        assert_eq!(file.permissions().mode() & 0o777, 0o660);
+    }
+
+    #[test]
     fn a_socket_that_was_left_behind_is_replaced_and_another_file_is_not_touched() {
         let (folder, socket, _sender) = open();
         let path = folder.path().join("pose.sock");

@@ -223,20 +223,17 @@ where
             self.step(now_ns, &mut status);
             self.steps.fetch_add(1, Ordering::Release);
             due_ns += period_ns;
-            // Missed steps are not made up for: a burst of late steps protects nothing.
-            let after_ns = clock.now_ns();
-            if after_ns > due_ns {
-                let missed = (after_ns - due_ns) / period_ns + 1;
-                status.skipped += missed;
-                due_ns += missed * period_ns;
-            }
+            let missed = missed_steps(due_ns, clock.now_ns(), period_ns);
+            status.skipped += missed;
+            due_ns += missed * period_ns;
         }
         self.task.shut_down();
         late
     }
 
-    fn orders(&mut self, now_ns: u64) -> Orders {
-        let before_ns = std::mem::replace(&mut self.suspended_ns, suspended_ns());
+    /// The orders of this step. `suspended_ns` is the time that the computer has been suspended until now.
+    fn orders(&mut self, now_ns: u64, suspended_ns: u64) -> Orders {
+        let before_ns = std::mem::replace(&mut self.suspended_ns, suspended_ns);
         let suspended = self.suspended_ns.saturating_sub(before_ns) > SUSPENDED_NS;
         let orders = self.panel.orders();
         let is_pressed = self.stop_line.as_ref().is_some_and(|line| line.is_pressed(now_ns));
@@ -244,7 +241,7 @@ where
     }
 
     fn step(&mut self, now_ns: u64, status: &mut LoopStatus) {
-        let orders = self.orders(now_ns);
+        let orders = self.orders(now_ns, suspended_ns());
         let step = self.task.step(now_ns, &orders);
         let state = step.state;
         status.lidar_error = step.lidar_error;
@@ -270,6 +267,12 @@ where
         *self.status.input_buffer_mut() = *status;
         self.status.publish();
     }
+}
+
+/// Number of steps that are left out because the loop is late at `now_ns`. They are not made up for: a burst of late steps
+/// protects nothing.
+fn missed_steps(due_ns: u64, now_ns: u64, period_ns: u64) -> u64 {
+    if now_ns > due_ns { (now_ns - due_ns) / period_ns + 1 } else { 0 }
 }
 
 /// Time that the computer has been suspended since it was started: the monotonic clock stands still
@@ -320,4 +323,53 @@ fn become_realtime(priority: u8) -> bool {
     set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(value), fifo)
         .is_ok()
         && locked
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::run::devices::{AnyBase, open_scanner_and_base};
+    use drivers::fault::{Faults, FaultyBase, FaultyLidar};
+    use drivers::lidar::AnyLidar;
+
+    /// The loop of a robot whose devices are absent.
+    fn looping() -> (Looping<FaultyBase<AnyBase>, FaultyLidar<AnyLidar>>, SafetyThread) {
+        let mut config = Config::default();
+        config.devices.lidar.port = "/nonexistent/lidar".parse().unwrap();
+        config.devices.base.bus = "unix:/nonexistent/can".to_owned();
+        config.devices.base.protocol = drivers::can::Protocol::Vesc;
+        let faults = Faults::new(Vec::new(), 1, Arc::new(|| 0));
+        let (control, _) = open_scanner_and_base(&config, &faults).unwrap();
+        let (looping, thread, _) = connect(control, None, false);
+        (looping, thread)
+    }
+
+    #[test]
+    fn a_computer_that_was_suspended_is_reported_once_to_the_safety_loop() {
+        let (mut looping, _thread) = looping();
+        let begin_ns = looping.suspended_ns;
+        let mut is_suspended = |suspended_ns| looping.orders(0, begin_ns + suspended_ns).suspended;
+        assert!(!is_suspended(0));
+        // The two clocks are not read at the same moment.
+        assert!(!is_suspended(400_000_000));
+        assert!(is_suspended(8_000_000_000));
+        assert!(!is_suspended(8_000_000_000));
+    }
+
+    #[test]
+    fn a_loop_that_is_late_leaves_out_the_steps_that_it_missed() {
+        let missed = [99, 100, 101, 109, 110, 3099].map(|now_ns| missed_steps(100, now_ns, 10));
+        assert_eq!(missed, [0, 0, 1, 1, 2, 300]);
+    }
+
+    #[test]
+    fn an_order_to_stop_reaches_the_safety_loop_in_the_next_step_and_its_answer_the_panel() {
+        let (mut looping, thread) = looping();
+        let mut status = first_status(&looping.task);
+        thread.panel.stop();
+        looping.step(MonotonicClock.now_ns(), &mut status);
+        assert_eq!(status.state, SafetyState::Fault(FaultReason::EmergencyStop));
+        assert_eq!(thread.panel.plane().words(), "fault: the emergency stop is pressed");
+    }
 }

@@ -1,5 +1,6 @@
 //! Faults of the CAN bus and of the host's interface to it.
 
+use drivers::can::protocol::MotorStage;
 use drivers::can::{
     BusEvent, CanBus, CanError, CanFrame, CanId, ErrorState, Phase, Protocol, Trip,
 };
@@ -172,5 +173,17 @@ fn an_interface_that_vanishes_is_disconnected_and_comes_back_unarmed() {
         assert_eq!(motion_frames(&rig), 0, "{protocol:?}");
         assert_eq!(rig.base.status().reopened, 1);
         rig.arm().unwrap_or_else(|error| panic!("{protocol:?}: {error}; {}", rig.base.explain()));
+    }
+}
+
+#[test]
+fn after_a_bus_off_no_motor_counts_as_set_up() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        rig.host.bus_off();
+        assert_eq!(rig.drive(0.2, 0.0), Err(CanError::Tripped(Trip::BusOff)));
+        for motor in rig.base.motors() {
+            assert_eq!((motor.stage, motor.watchdog_ms), (MotorStage::SettingUp, None));
+        }
     }
 }

@@ -216,6 +216,63 @@ fn disarming_brakes_before_it_releases_the_motors() {
     }
 }
 
+#[test]
+fn motors_that_are_disarmed_keep_their_power_and_hold_zero_for_half_a_second() {
+    for protocol in [Protocol::Odrive, Protocol::Cia402] {
+        let mut rig = driving(protocol);
+        rig.base.disarm();
+        for tick in 1..50 {
+            rig.poll();
+            let is_powered = rig.nodes.iter().all(|node| node.is_powered());
+            assert!(is_powered, "{protocol:?}: without power after {tick} ticks");
+        }
+        (0..10).for_each(|_| rig.poll());
+        assert!(rig.nodes.iter().all(|node| !node.is_powered()), "{protocol:?}");
+    }
+}
+
+#[test]
+fn a_base_that_is_left_while_it_drives_leaves_the_watchdogs_on() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        rig.base.finish();
+        rig.advance(10 * MS);
+        for node in &rig.nodes {
+            assert!(node.watchdog().limit_ns.is_some(), "{protocol:?}");
+        }
+        rig.advance(600 * MS);
+        assert!(is_stopped(&rig), "{protocol:?}: {:?}", rig.wheels_radps());
+    }
+}
+
+#[test]
+fn a_press_of_the_boards_emergency_stop_counts_even_if_it_is_over_within_one_tick() {
+    let mut rig = driving(Protocol::Odrive);
+    let mut board = rig.host.connect();
+    for (counter, estop) in [(1, false), (2, true), (3, false)] {
+        let _ = board.send(&SafetyInput { counter, estop, bumper: false }.encode());
+    }
+    rig.advance(10 * MS);
+    let command = DriveCommand { counter: rig.counter + 1, ..slow_command(0) };
+    assert_eq!(rig.base.drive(&command), Err(CanError::Tripped(Trip::EmergencyStop)));
+}
+
+#[test]
+fn a_late_frame_of_the_safety_board_releases_no_emergency_stop() {
+    let mut rig = driving(Protocol::Odrive);
+    let mut board = rig.host.connect();
+    let mut send = |rig: &mut Rig, counter, estop| {
+        let _ = board.send(&SafetyInput { counter, estop, bumper: false }.encode());
+        (0..5).for_each(|_| rig.poll());
+    };
+    send(&mut rig, 5, false);
+    send(&mut rig, 6, true);
+    (0..100).for_each(|_| rig.poll());
+    // Four frames older than the press.
+    send(&mut rig, 2, false);
+    assert_eq!(rig.base.check(), Err(CanError::Tripped(Trip::EmergencyStop)));
+}
+
 /// Uses a Unix socket, whose driver allocates no more than that of SocketCAN; the bus in memory
 /// does allocate.
 #[test]

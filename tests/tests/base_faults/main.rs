@@ -8,6 +8,7 @@ use hil::motor::rig::config;
 mod bus;
 mod commands;
 mod motors;
+mod protocols;
 
 const ALL: [Protocol; 3] = [Protocol::Odrive, Protocol::Vesc, Protocol::Cia402];
 const MS: u64 = 1_000_000;

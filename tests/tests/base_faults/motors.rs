@@ -225,3 +225,47 @@ fn a_robot_that_is_pushed_is_not_armed() {
         rolling.base.arm()
     );
 }
+
+/// The wheels' true speed is the commanded one, and so is the reported speed.
+#[test]
+fn the_speed_that_the_base_reports_is_that_of_its_wheels_also_of_one_mounted_in_reverse() {
+    for protocol in ALL {
+        for (invert_left, invert_right) in [(false, false), (true, false), (false, true)] {
+            let config = BaseConfig { invert_left, invert_right, ..config(protocol) };
+            let mut rig = Rig::new(&config).expect("sound");
+            rig.arm().expect("it arms");
+            (0..150).for_each(|_| rig.drive(0.2, 0.0).expect("it drives"));
+            let twist = rig.feedback.as_ref().expect("feedback").expect("new feedback").twist;
+            let is_right = (twist.linear_mps - 0.2).abs() < 0.01 && twist.angular_radps.abs() < 0.1;
+            assert!(is_right, "{protocol:?}, {invert_left}, {invert_right}: {twist:?}");
+        }
+    }
+}
+
+#[test]
+fn wheels_of_different_radius_drive_straight_and_measure_a_straight_line() {
+    for protocol in ALL {
+        let config = BaseConfig { right_radius_scale: 0.8, ..config(protocol) };
+        let mut rig = Rig::new(&config).expect("sound");
+        rig.arm().expect("it arms");
+        (0..150).for_each(|_| rig.drive(0.2, 0.0).expect("it drives"));
+        // 0.2 m/s are 4 rad/s of a wheel with a radius of 5 cm, and 5 rad/s of one with 4 cm.
+        let [left, right] = rig.wheels_radps();
+        assert!((left - 4.0).abs() < 0.1 && (right - 5.0).abs() < 0.1, "{left} {right}");
+        let pose = rig.base.odometry().pose();
+        assert!(pose.x_m > 0.2 && pose.yaw_rad.abs() < 0.03, "{protocol:?}: {pose:?}");
+    }
+}
+
+#[test]
+fn feedback_of_one_wheel_alone_is_no_feedback() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        rig.nodes[1].faults().silent = true;
+        rig.drive(0.2, 0.0).expect("it drives");
+        for _ in 0..5 {
+            rig.drive(0.2, 0.0).expect("the other wheel may still report in time");
+            assert_eq!(rig.feedback, Ok(None), "{protocol:?}");
+        }
+    }
+}
