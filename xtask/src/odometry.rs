@@ -13,7 +13,7 @@ const HOMES: [&str; 3] = ["apartment", "house", "office"];
 const COLUMNS: [&str; 11] = [
     "home",
     "seed",
-    "poses",
+    "poses and depth",
     "delta1 unscaled, all / confident half",
     "right of all pixels",
     "constant",
@@ -23,10 +23,15 @@ const COLUMNS: [&str; 11] = [
     "heading at the end (deg)",
     "collisions",
 ];
-/// What the poses come from.
-const POSES: [&str; 3] = ["wheels and scans", "wheels alone", "error-free"];
+/// What the poses come from, with the name of its folders. One row has the depth of the default network, the others coarse depth.
+const ROWS: [(&str, &str); 4] = [
+    ("wheels and scans", "scans"),
+    ("wheels and scans, network", "network"),
+    ("wheels alone", "wheels"),
+    ("error-free", "perfect"),
+];
 
-/// Explores each home with each source of poses and each seed. Runs that an earlier call has finished are not repeated. With
+/// Explores each home with each source of poses and of depth, and each seed. Runs that an earlier call has finished are not repeated. With
 /// `update`, the table goes into docs/data/odometry.json and docs/accuracy.md.
 ///
 /// # Errors
@@ -35,33 +40,35 @@ pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<(
     explore::build()?;
     let dir = paths::target().join(format!("odometry/{frames}"));
     let wheels = wheels_alone(&dir)?;
+    let network = paths::root().join("firmware-host/models/default.onnx").display().to_string();
     let mut table = Table::new(&COLUMNS);
-    let mut summaries: [Vec<Value>; 3] = Default::default();
+    let mut summaries: [Vec<Value>; ROWS.len()] = Default::default();
     for seed in 1..=seeds {
         let builtin = HOMES.map(|home| (home.to_owned(), format!("builtin:{home}?seed={seed}")));
         let files = scenes.iter().map(|file| (name(file), file.clone()));
         for (home, scene) in builtin.into_iter().chain(files) {
-            for (index, poses) in POSES.into_iter().enumerate() {
-                let out = dir.join(format!("{home}-{seed}-{index}"));
+            for ((row, folder), summaries) in ROWS.into_iter().zip(&mut summaries) {
+                let out = dir.join(format!("{home}-{seed}-{folder}"));
                 let length = [frames, seed].map(|number| number.to_string());
                 let mut arguments = vec!["--scene", &scene, "--policy", "active"];
                 arguments.extend(["--frames", &length[0], "--seed", &length[1]]);
-                match poses {
-                    "wheels alone" => arguments.extend(["--config", &wheels]),
-                    "error-free" => arguments.extend(["--odometry", "perfect"]),
+                match folder {
+                    "network" => arguments.extend(["--model", &network]),
+                    "wheels" => arguments.extend(["--config", &wheels]),
+                    "perfect" => arguments.extend(["--odometry", "perfect"]),
                     _ => {}
                 }
                 let summary = explore::explore(&arguments, &out)?;
-                let mut cells = vec![home.clone(), seed.to_string(), poses.to_owned()];
+                let mut cells = vec![home.clone(), seed.to_string(), row.to_owned()];
                 cells.extend(results(&summary));
                 table.push(cells);
-                summaries[index].push(summary);
-                eprintln!("explored {home} {seed} with {poses}");
+                summaries.push(summary);
+                eprintln!("explored {home} {seed}: {row}");
             }
         }
     }
-    for (poses, of) in POSES.into_iter().zip(&summaries) {
-        let mut cells = vec!["mean".to_owned(), String::new(), poses.to_owned()];
+    for ((row, _), of) in ROWS.into_iter().zip(&summaries) {
+        let mut cells = vec!["mean".to_owned(), String::new(), row.to_owned()];
         cells.extend(results(&mean(of)));
         table.push(cells);
     }
@@ -93,13 +100,16 @@ fn name(file: &str) -> String {
 /// The cells of a run behind home, seed and poses.
 fn results(summary: &Value) -> [String; 8] {
     let number = |path: &str| summary.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN);
+    // The depth that the map uses.
+    let depth = summary["depth_source"].as_str().unwrap_or("coarse");
+    let of_depth = |figure: &str| number(&format!("/accuracy/{depth}/{figure}"));
     [
         format!(
             "{:.3} / {:.3}",
-            number("/accuracy/coarse/all/delta1_unscaled"),
-            number("/accuracy/coarse/confident/delta1_unscaled")
+            of_depth("all/delta1_unscaled"),
+            of_depth("confident/delta1_unscaled")
         ),
-        format!("{:.3}", number("/accuracy/coarse/all/right")),
+        format!("{:.3}", of_depth("all/right")),
         format!("{:.3}", number("/accuracy/constant/all/right")),
         format!("{:.1} %", 100.0 * number("/coverage_true")),
         format!(
