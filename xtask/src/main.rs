@@ -16,6 +16,7 @@ mod fuzz;
 mod licences;
 mod live;
 mod localization;
+mod memory_folder;
 mod models;
 mod mutants;
 mod nextest;
@@ -113,8 +114,8 @@ enum Chore {
         #[arg(long)]
         update: bool,
     },
-    /// Explore homes with the errors of real odometry, with wheels alone and without errors, and print a table. Takes an hour on
-    /// two cores.
+    /// Explore homes with the errors of real odometry (also with the default network), with wheels alone and without errors, and
+    /// print a table. Takes an hour on two cores.
     Odometry {
         /// Number of camera frames of each run.
         #[arg(long, default_value_t = 1500)]

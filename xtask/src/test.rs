@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Result, bail, ensure};
 
+use crate::memory_folder::MemoryFolder;
 use crate::{command, docs, licences, nextest, onnx_runtime, paths, peers, quality, trainer};
 
 /// Estimated duration of the first run on 2 cores without the trainer, rounded up: dependencies 5 minutes, the
@@ -52,9 +53,11 @@ pub fn run(all: bool) -> Result<()> {
     );
     let onnx_runtime = onnx_runtime::install()?;
     let lints = Lints::new()?;
+    let memory = MemoryFolder::new()?;
     let cargo = |arguments: &str| {
         let mut cargo = command::cargo();
         cargo.args(arguments.split_whitespace()).env("ORT_DYLIB_PATH", &onnx_runtime);
+        cargo.envs(memory.as_ref().map(|memory| ("TMPDIR", memory.path())));
         lints.during(&mut cargo);
         cargo
     };
@@ -197,10 +200,15 @@ fn trainer_steps(install: bool) -> Result<Vec<(&'static str, (Outcome, f64))>> {
         return Ok(vec![("trainer", (Outcome::Skipped(why), 0.0))]);
     }
     let python = trainer::install()?;
+    let processes = trainer::test_processes();
+    let pytest =
+        format!("pytest --quiet --numprocesses {processes} --dist loadgroup --durations 15");
     let module = |arguments: &str| {
         let mut module = command::program(&python);
         module
             .current_dir(paths::root().join("tools/trainer"))
+            // A thread for each of the processes among which the tests are divided.
+            .env("OMP_NUM_THREADS", "1")
             .arg("-m")
             .args(arguments.split_whitespace());
         step(&mut module)
@@ -209,7 +217,7 @@ fn trainer_steps(install: bool) -> Result<Vec<(&'static str, (Outcome, f64))>> {
         ("trainer: format", module("ruff format --check .")),
         ("trainer: lints", module("ruff check .")),
         ("trainer: types", module("mypy")),
-        ("trainer: tests", module("pytest --quiet")),
+        ("trainer: tests", module(&pytest)),
     ])
 }
 

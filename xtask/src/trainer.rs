@@ -1,14 +1,17 @@
 //! Installs the trainer into a virtual environment of its own, in the target directory.
 
+use std::num::NonZero;
 use std::path::PathBuf;
 
 use anyhow::Result;
 
 use crate::{command, paths, python};
 
-/// Whether the trainer is installed.
+/// Whether the trainer is installed, with what tests it: an environment of an earlier version lacks pytest-xdist.
 pub fn is_installed() -> bool {
-    command::works(command::program(environment().join("bin/embodied-depth")).arg("--help"))
+    let bin = environment().join("bin");
+    let has_program = command::works(command::program(bin.join("embodied-depth")).arg("--help"));
+    has_program && command::works(command::program(bin.join("python")).args(["-c", "import xdist"]))
 }
 
 /// The Python with the trainer and the tools that check it. The first time, PyTorch (5 GB) is installed.
@@ -27,6 +30,11 @@ pub fn install() -> Result<PathBuf> {
         command::run(pip.arg(format!("{}[dev]", paths::root().join("tools/trainer").display())))?;
     }
     Ok(environment.join("bin/python"))
+}
+
+/// Number of processes among which the trainer's tests are divided. Each needs up to 2 GB of memory.
+pub fn test_processes() -> usize {
+    std::thread::available_parallelism().map_or(1, NonZero::get).min(4)
 }
 
 fn environment() -> PathBuf {

@@ -7,6 +7,8 @@
     reason = "helpers of tests; not all use all"
 )]
 
+use std::fs::File;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -28,6 +30,21 @@ pub fn run(args: &[&str]) -> Output {
 
 pub fn model_file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/models/{name}.onnx"))
+}
+
+/// Holds a lock of the folder until it is dropped.
+fn lock(folder: &Path) -> File {
+    let file = File::create(folder.join("lock")).unwrap();
+    file.lock().unwrap();
+    file
+}
+
+fn remove_folders_in(folder: &Path) {
+    for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
+        if entry.file_type().unwrap().is_dir() {
+            std::fs::remove_dir_all(entry.path()).unwrap();
+        }
+    }
 }
 
 /// A robot's folder with keys, configuration and store.
@@ -124,18 +141,34 @@ impl Robot {
         digest
     }
 
-    /// What the robot has seen in a home; it drives there when this is first asked for.
+    /// What the robot has seen in a home. Robots of one configuration share one drive, which takes half a minute: the first
+    /// that needs it makes it, and the other tests of this build wait for it.
     pub fn recordings(&self) -> String {
-        let home = self.text("recordings");
-        if !self.path("recordings").exists() {
-            let mut args =
-                vec!["explore", "--scene", "builtin:apartment?seed=1", "--policy", "frontier"];
+        let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("drives");
+        std::fs::create_dir_all(&all).unwrap();
+        let _only_one_drives = lock(&all);
+        let drive = all.join(format!("{:016x}", self.build_and_configuration()));
+        if !drive.exists() {
+            remove_folders_in(&all);
+            let unfinished = all.join("unfinished");
+            let scene = "builtin:apartment?seed=1";
+            let mut args = vec!["explore", "--scene", scene, "--policy", "frontier"];
             let config = self.text("robot.toml");
-            args.extend(["--frames", "2200", "--config", &config, "--out", &home]);
+            args.extend(["--frames", "2200", "--config", &config]);
+            args.extend(["--out", unfinished.to_str().unwrap()]);
             let explored = run(&args);
             assert!(explored.status.success(), "{}", String::from_utf8_lossy(&explored.stderr));
+            std::fs::rename(unfinished, &drive).unwrap();
         }
-        home
+        drive.to_str().unwrap().to_owned()
+    }
+
+    /// A number that differs for another build of the program, and for another configuration.
+    fn build_and_configuration(&self) -> u64 {
+        let program = std::fs::metadata(binary()).unwrap();
+        let mut hasher = DefaultHasher::new();
+        (program.modified().unwrap(), program.len(), &self.config).hash(&mut hasher);
+        hasher.finish()
     }
 
     pub fn judged_by_recordings(&self, name: &str) -> Value {

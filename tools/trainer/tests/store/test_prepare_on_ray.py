@@ -18,6 +18,9 @@ from ..clusters import small_cluster
 from ..rooms import room
 from ..stores import calls, record
 
+# One process runs all tests with a cluster, so that no two clusters compete for the processor (pytest-xdist).
+pytestmark = pytest.mark.xdist_group("ray")
+
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[None]:

@@ -24,6 +24,9 @@ from ..clusters import small_cluster
 from ..rooms import room
 from ..stores import record, without_coarse
 
+# One process runs all tests with a cluster, so that no two clusters compete for the processor (pytest-xdist).
+pytestmark = pytest.mark.xdist_group("ray")
+
 STEPS = 4
 CHECKPOINT_EVERY = 2
 # A rank is lost in the step after this one, which no checkpoint holds.

@@ -1,0 +1,66 @@
+//! A folder in memory for the files of tests.
+//!
+//! The tests of the model store, of recordings and of downloads wait for the disk at each of thousands of writes: on a disk that
+//! others use as well, one of them took 102 s instead of 2.5 s.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+
+use crate::command;
+
+/// The file system in memory that Linux offers.
+const MEMORY: &str = "/dev/shm";
+/// The tests write less than 2 GiB at a time. A container's default has 64 MiB.
+const NEEDED_BYTES: u64 = 4 << 30;
+
+/// A new folder in memory, which is removed in the end.
+pub struct MemoryFolder {
+    path: PathBuf,
+}
+
+impl MemoryFolder {
+    /// `None` where memory has no room for the files; they are then written to the disk.
+    ///
+    /// # Errors
+    /// The folder cannot be made.
+    pub fn new() -> Result<Option<Self>> {
+        if free_bytes(Path::new(MEMORY)).is_none_or(|bytes| bytes < NEEDED_BYTES) {
+            return Ok(None);
+        }
+        let path = Path::new(MEMORY).join(format!("embodied-depth-tests-{}", std::process::id()));
+        fs::create_dir(&path).with_context(|| path.display().to_string())?;
+        Ok(Some(Self { path }))
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for MemoryFolder {
+    fn drop(&mut self) {
+        if let Err(error) = fs::remove_dir_all(&self.path) {
+            eprintln!("{}: {error}", self.path.display());
+        }
+    }
+}
+
+fn free_bytes(folder: &Path) -> Option<u64> {
+    let mut df = command::program("df");
+    let printed =
+        command::output(df.args(["--block-size=1", "--output=avail"]).arg(folder)).ok()?;
+    printed.lines().last()?.trim().parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_root_has_room_and_a_folder_that_does_not_exist_has_none() {
+        assert!(free_bytes(Path::new("/")).is_some());
+        assert!(free_bytes(Path::new("/does/not/exist")).is_none());
+    }
+}
