@@ -20,11 +20,13 @@ use drivers::can::messages::SafetyInput;
 use drivers::can::{CanBus, Protocol, UnixBus};
 use drivers::rplidar::Model;
 use firmware_host::model::{State, Store, What};
+use firmware_host::recorded::Recorded;
 use firmware_host::run::status::Status;
 use hal::{CameraModel, Clock};
 use hil::world::{LiveOptions, LiveWorld, ScannerModel};
 use live_link::{Frame, FrameReader};
 use monotonic_clock::MonotonicClock;
+use runtime::task::AreaChange;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Long enough for a computer that does something else as well; a robot that works needs a tenth of it.
@@ -49,7 +51,20 @@ impl Scene {
 
     /// With more lines of configuration and more arguments. `{}` is the scene's folder.
     fn with(protocol: Protocol, more: &str, args: &[&str]) -> Self {
+        Self::with_file(protocol, more, args, None)
+    }
+
+    /// With a file in its folder that is there before the program starts, by its name and content.
+    fn with_file(
+        protocol: Protocol,
+        more: &str,
+        args: &[&str],
+        file: Option<(&str, &[u8])>,
+    ) -> Self {
         let folder = tempfile::tempdir().unwrap();
+        if let Some((name, content)) = file {
+            std::fs::write(folder.path().join(name), content).unwrap();
+        }
         let options = LiveOptions {
             protocol,
             // Small images, because this test is about devices.
@@ -747,6 +762,38 @@ fn a_robot_that_has_to_be_measured_first_does_not_run_without_its_measurement() 
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && said.contains("commissioning"), "{said}");
     assert!(!folder.path().join("run").exists());
+}
+
+#[test]
+fn areas_that_were_drawn_on_a_map_are_closed_when_a_run_begins_with_that_map() {
+    let areas = br#"{"type":"Polygon","coordinates":[[[1,0],[2,0],[2,1],[1,1],[1,0]]]}"#;
+    let file = Some(("home.map.keep-out.geojson", &areas[..]));
+    let args = ["--map", "{}/home.map", "--frames", "10"];
+    let mut scene = Scene::with_file(Protocol::Vesc, "", &args, file);
+    assert!(scene.robot.wait().unwrap().success());
+    let first = Recorded::open(&scene.path("run")).unwrap().ticks().next().unwrap().unwrap();
+    let corners_m = [[1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0]];
+    assert_eq!(first.areas, [AreaChange::Close { corners_m }]);
+}
+
+#[test]
+fn the_map_of_another_scanner_ends_the_run_with_words_and_stays_as_it_is() {
+    let args = ["--map", "{}/home.map", "--frames", "30"];
+    let mut first = Scene::with(Protocol::Vesc, "", &args);
+    assert!(first.robot.wait().unwrap().success());
+    let map = std::fs::read(first.path("home.map")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("home.map"), &map).unwrap();
+    let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
+    let lidar = ScannerModel::Rplidar(Model::A1);
+    let options = LiveOptions { camera, lidar, ..LiveOptions::default() };
+    let world = LiveWorld::start(folder.path(), &options).unwrap();
+    let mut run = Command::cargo_bin("firmware-host").unwrap();
+    run.args(["run", "--config"]).arg(world.config()).arg("--out").arg(folder.path().join("run"));
+    let output = run.arg("--map").arg(folder.path().join("home.map")).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && said.contains("was made with another scanner"), "{said}");
+    assert_eq!(std::fs::read(folder.path().join("home.map")).unwrap(), map);
 }
 
 #[test]

@@ -29,7 +29,8 @@ impl MemoryFolder {
         if free_bytes(Path::new(MEMORY)).is_none_or(|bytes| bytes < NEEDED_BYTES) {
             return Ok(None);
         }
-        let path = Path::new(MEMORY).join(format!("embodied-depth-tests-{}", std::process::id()));
+        // Short, because the paths of ssh's sockets below it may have 90 bytes.
+        let path = Path::new(MEMORY).join(format!("ed-{}", std::process::id()));
         fs::create_dir(&path).with_context(|| path.display().to_string())?;
         Ok(Some(Self { path }))
     }
