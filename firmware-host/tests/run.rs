@@ -789,7 +789,8 @@ fn the_map_of_another_scanner_ends_the_run_with_words_and_stays_as_it_is() {
     let options = LiveOptions { camera, lidar, ..LiveOptions::default() };
     let world = LiveWorld::start(folder.path(), &options).unwrap();
     let mut run = Command::cargo_bin("firmware-host").unwrap();
-    run.args(["run", "--config"]).arg(world.config()).arg("--out").arg(folder.path().join("run"));
+    run.args(["run", "--frames", "100", "--config"]).arg(world.config());
+    run.arg("--out").arg(folder.path().join("run"));
     let output = run.arg("--map").arg(folder.path().join("home.map")).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && said.contains("was made with another scanner"), "{said}");
