@@ -4,6 +4,7 @@
 //! others use as well, one of them took 102 s instead of 2.5 s.
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -21,7 +22,7 @@ pub struct MemoryFolder {
 }
 
 impl MemoryFolder {
-    /// `None` where memory has no room for the files; they are then written to the disk.
+    /// `None` where memory has no room for the files, or may not hold programs; the files are then written to the disk.
     ///
     /// # Errors
     /// The folder cannot be made.
@@ -32,7 +33,8 @@ impl MemoryFolder {
         // Short, because the paths of ssh's sockets below it may have 90 bytes.
         let path = Path::new(MEMORY).join(format!("ed-{}", std::process::id()));
         fs::create_dir(&path).with_context(|| path.display().to_string())?;
-        Ok(Some(Self { path }))
+        let folder = Self { path };
+        Ok(runs_programs(&folder.path).then_some(folder))
     }
 
     pub fn path(&self) -> &Path {
@@ -48,6 +50,17 @@ impl Drop for MemoryFolder {
     }
 }
 
+/// Whether programs can be started from this folder. Tests write small ones, and some systems mount `/dev/shm` with `noexec`.
+fn runs_programs(folder: &Path) -> bool {
+    let program = folder.join("program");
+    let is_written = fs::write(&program, "#!/bin/sh\n").is_ok()
+        && fs::set_permissions(&program, fs::Permissions::from_mode(0o700)).is_ok();
+    let runs = is_written && command::works(&mut command::program(&program));
+    // The folder is removed in the end if this fails.
+    let _ = fs::remove_file(&program);
+    runs
+}
+
 fn free_bytes(folder: &Path) -> Option<u64> {
     let mut df = command::program("df");
     let printed =
@@ -58,6 +71,12 @@ fn free_bytes(folder: &Path) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn programs_run_from_the_target_directory_and_not_from_a_folder_that_does_not_exist() {
+        assert!(runs_programs(&crate::paths::target()));
+        assert!(!runs_programs(Path::new("/does/not/exist")));
+    }
 
     #[test]
     fn the_root_has_room_and_a_folder_that_does_not_exist_has_none() {
