@@ -10,7 +10,7 @@ use crate::memory_folder::MemoryFolder;
 use crate::{command, docs, licences, nextest, onnx_runtime, paths, peers, quality, trainer};
 
 /// Duration of the first run on 2 cores without the trainer, rounded up: build and lints 18 minutes, tests 16, quality 1.5,
-/// documentation 2 to 4.
+/// documentation and licences 0.5.
 const FIRST_RUN_MIN: u32 = 40;
 const LATER_RUN_MIN: u32 = 20;
 
