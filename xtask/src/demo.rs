@@ -9,7 +9,7 @@ use crate::{command, onnx_runtime, paths};
 const SCENE: &str = "builtin:apartment?seed=1";
 const FRAMES: &str = "3000";
 /// The default network; firmware-host/models/README.md describes it.
-const MODEL: &str = "firmware-host/models/default.onnx";
+pub const MODEL: &str = "firmware-host/models/default.onnx";
 
 pub fn run() -> Result<()> {
     let model = match onnx_runtime::install() {

@@ -5,49 +5,30 @@
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, Result};
+use tempfile::TempDir;
 
 use crate::command;
 
 /// The file system in memory that Linux offers.
 const MEMORY: &str = "/dev/shm";
-/// The tests write less than 2 GiB at a time. A container's default has 64 MiB.
+/// A recording of 2,200 small frames, which tests share, has 55 MB. A container's default has room for 64 MiB.
 const NEEDED_BYTES: u64 = 4 << 30;
 
-/// A new folder in memory, which is removed in the end.
-pub struct MemoryFolder {
-    path: PathBuf,
-}
-
-impl MemoryFolder {
-    /// `None` where memory has no room for the files, or may not hold programs; the files are then written to the disk.
-    ///
-    /// # Errors
-    /// The folder cannot be made.
-    pub fn new() -> Result<Option<Self>> {
-        if free_bytes(Path::new(MEMORY)).is_none_or(|bytes| bytes < NEEDED_BYTES) {
-            return Ok(None);
-        }
-        // Short, because the paths of ssh's sockets below it may have 90 bytes.
-        let path = Path::new(MEMORY).join(format!("ed-{}", std::process::id()));
-        fs::create_dir(&path).with_context(|| path.display().to_string())?;
-        let folder = Self { path };
-        Ok(runs_programs(&folder.path).then_some(folder))
+/// A new folder in memory. `None` where memory has no room for the files, or may not hold programs: the tests then write to the
+/// disk.
+///
+/// # Errors
+/// The folder cannot be made.
+pub fn new() -> Result<Option<TempDir>> {
+    if free_bytes(Path::new(MEMORY)).is_none_or(|bytes| bytes < NEEDED_BYTES) {
+        return Ok(None);
     }
-
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-}
-
-impl Drop for MemoryFolder {
-    fn drop(&mut self) {
-        if let Err(error) = fs::remove_dir_all(&self.path) {
-            eprintln!("{}: {error}", self.path.display());
-        }
-    }
+    // A short name, because the paths of ssh's sockets below it may have 90 bytes.
+    let folder = tempfile::Builder::new().prefix("ed-").tempdir_in(MEMORY).context(MEMORY)?;
+    Ok(runs_programs(folder.path()).then_some(folder))
 }
 
 /// Whether programs can be started from this folder. Tests write small ones, and some systems mount `/dev/shm` with `noexec`.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use serde_json::Value;
 
+use crate::demo;
 use crate::explore;
 use crate::paths;
 use crate::tables::{self, Table};
@@ -23,7 +24,7 @@ const COLUMNS: [&str; 11] = [
     "heading at the end (deg)",
     "collisions",
 ];
-/// What the poses come from, with the name of its folders. One row has the depth of the default network, the others coarse depth.
+/// The rows of each home, with the names of their folders: where poses come from, and coarse depth or that of the default network.
 const ROWS: [(&str, &str); 4] = [
     ("wheels and scans", "scans"),
     ("wheels and scans, network", "network"),
@@ -31,8 +32,8 @@ const ROWS: [(&str, &str); 4] = [
     ("error-free", "perfect"),
 ];
 
-/// Explores each home with each source of poses and of depth, and each seed. Runs that an earlier call has finished are not repeated. With
-/// `update`, the table goes into docs/data/odometry.json and docs/accuracy.md.
+/// Explores each home with each seed and as each row says. Runs that an earlier call has finished are not repeated. With `update`,
+/// the table goes into docs/data/odometry.json and docs/accuracy.md.
 ///
 /// # Errors
 /// When a run fails, or a file cannot be written.
@@ -40,7 +41,7 @@ pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<(
     explore::build()?;
     let dir = paths::target().join(format!("odometry/{frames}"));
     let wheels = wheels_alone(&dir)?;
-    let network = paths::root().join("firmware-host/models/default.onnx").display().to_string();
+    let network = paths::root().join(demo::MODEL).display().to_string();
     let mut table = Table::new(&COLUMNS);
     let mut summaries: [Vec<Value>; ROWS.len()] = Default::default();
     for seed in 1..=seeds {

@@ -6,8 +6,9 @@ use std::time::Instant;
 
 use anyhow::{Result, bail, ensure};
 
-use crate::memory_folder::MemoryFolder;
-use crate::{command, docs, licences, nextest, onnx_runtime, paths, peers, quality, trainer};
+use crate::{
+    command, docs, licences, memory_folder, nextest, onnx_runtime, paths, peers, quality, trainer,
+};
 
 /// Duration of the first run on 2 cores without the trainer, rounded up: build and lints 18 minutes, tests 16, quality 1.5,
 /// documentation and licences 0.5.
@@ -53,7 +54,7 @@ pub fn run(all: bool) -> Result<()> {
     );
     let onnx_runtime = onnx_runtime::install()?;
     let lints = Lints::new()?;
-    let memory = MemoryFolder::new()?;
+    let memory = memory_folder::new()?;
     let cargo = |arguments: &str| {
         let mut cargo = command::cargo();
         cargo.args(arguments.split_whitespace()).env("ORT_DYLIB_PATH", &onnx_runtime);
@@ -207,7 +208,7 @@ fn trainer_steps(install: bool) -> Result<Vec<(&'static str, (Outcome, f64))>> {
         let mut module = command::program(&python);
         module
             .current_dir(paths::root().join("tools/trainer"))
-            // A thread for each of the processes among which the tests are divided.
+            // One thread in each process of the tests, because there is a process for each processor.
             .env("OMP_NUM_THREADS", "1")
             .arg("-m")
             .args(arguments.split_whitespace());

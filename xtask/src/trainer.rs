@@ -7,11 +7,9 @@ use anyhow::Result;
 
 use crate::{command, paths, python};
 
-/// Whether the trainer is installed, with what tests it: an environment of an earlier version lacks pytest-xdist.
+/// Whether the trainer is installed.
 pub fn is_installed() -> bool {
-    let bin = environment().join("bin");
-    let has_program = command::works(command::program(bin.join("embodied-depth")).arg("--help"));
-    has_program && command::works(command::program(bin.join("python")).args(["-c", "import xdist"]))
+    command::works(command::program(environment().join("bin/embodied-depth")).arg("--help"))
 }
 
 /// The Python with the trainer and the tools that check it. The first time, PyTorch (5 GB) is installed.
@@ -20,19 +18,24 @@ pub fn is_installed() -> bool {
 /// When it cannot be installed.
 pub fn install() -> Result<PathBuf> {
     let environment = environment();
+    let python = environment.join("bin/python");
     if !is_installed() {
         eprintln!(
             "installing PyTorch (5 GB) into {}, once; this takes some minutes",
             environment.display()
         );
-        let mut pip = command::program(python::environment(&environment)?);
+        python::environment(&environment)?;
+    }
+    // An environment of an earlier version lacks pytest-xdist, and keeps its PyTorch.
+    if !command::works(command::program(&python).args(["-c", "import xdist"])) {
+        let mut pip = command::program(&python);
         pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--editable"]);
         command::run(pip.arg(format!("{}[dev]", paths::root().join("tools/trainer").display())))?;
     }
-    Ok(environment.join("bin/python"))
+    Ok(python)
 }
 
-/// Number of processes among which the trainer's tests are divided. Each needs up to 2 GB of memory.
+/// Number of processes among which the trainer's tests are divided. Each had 1.2 GB of memory, and those that they start as much.
 pub fn test_processes() -> usize {
     std::thread::available_parallelism().map_or(1, NonZero::get).min(4)
 }
