@@ -21,6 +21,8 @@ use crate::config::{CameraSection, LensSection};
 const WIDEST: usize = 44;
 
 const TITLE: &str = "# By `firmware-host init`. `firmware-host check` prints the other keys; write them as here: section.key = value.";
+/// In place of the title, so that the file stays below thirty lines.
+const MEASURED: &str = "run.commissioning = \"measured\"  # `run` starts when `check --drive` has measured the robot. By `firmware-host init`; `check` prints the other keys.";
 const KEPT: &str = "# From the file before:";
 
 /// A key, its value as TOML, and its comment.
@@ -43,13 +45,13 @@ pub fn text(
         .filter(|question| answers.get(question.key).is_some())
         .flat_map(|question| lines_of(question, answers, found, correction))
         .chain(found.simulated.iter().flat_map(|folder| files_in(folder)))
-        .chain(commissioning(found, before))
         .collect();
+    let first = commissioning(found, before);
     let assignments: Vec<String> =
         lines.iter().map(|line| format!("{} = {}", line.key, line.value)).collect();
     let lengths = assignments.iter().map(String::len);
     let width = lengths.filter(|length| *length <= WIDEST).max().unwrap_or(0);
-    let mut text = format!("{TITLE}\n");
+    let mut text = format!("{}\n", first.unwrap_or(TITLE));
     for (line, assignment) in lines.iter().zip(&assignments) {
         // Writing into a string cannot fail.
         _ = writeln!(text, "{assignment:<width$}  # {}", line.comment);
@@ -227,13 +229,11 @@ fn time_out(model: &str) -> Option<Line> {
         .then(|| line("safety.scan_timeout_s", &value, "Two revolutions of this scanner, s."))
 }
 
-/// A real robot drives only with numbers that were measured, unless the file before says otherwise. A simulated one is exempt:
-/// `check --drive` takes longer than trying `run`, and nothing can be hit.
-fn commissioning(found: &Found, before: Option<&toml::Table>) -> Option<Line> {
+/// The first line for a real robot, which drives only with numbers that were measured, unless the file before says otherwise. A
+/// simulated one is exempt: `check --drive` takes longer than trying `run`, and nothing can be hit.
+fn commissioning(found: &Found, before: Option<&toml::Table>) -> Option<&'static str> {
     let is_kept = before.and_then(|file| file.get("run")?.get("commissioning")).is_some();
-    let comment = "`run` starts when `check --drive` has measured the robot.";
-    let is_needed = found.simulated.is_none() && !is_kept;
-    is_needed.then(|| line("run.commissioning", &"\"measured\"", comment))
+    (found.simulated.is_none() && !is_kept).then_some(MEASURED)
 }
 
 /// The files of a simulated robot: not every account may write those of a real one.
@@ -326,7 +326,7 @@ mod tests {
     use crate::init::found::FoundCamera;
     use crate::init::questions::scanners;
 
-    /// The most lines of a new file, below the title.
+    /// The most lines of a new file.
     const MOST_LINES: usize = 30;
 
     fn defaults_with(changes: &[(&'static str, Answer)], found: &Found) -> Answers {
@@ -383,7 +383,7 @@ mod tests {
                     &found,
                 );
                 let text = text(&answers, &found, &correction, None);
-                assert!(text.lines().skip(1).count() <= MOST_LINES, "{text}");
+                assert!(text.lines().count() <= MOST_LINES, "{text}");
                 assert!(
                     text.lines()
                         .all(|line| line.contains("# ") && line.ends_with('.')
