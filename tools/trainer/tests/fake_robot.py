@@ -43,9 +43,9 @@ def explore(options: argparse.Namespace) -> None:
             time.sleep(0.01)
         seed = zlib.crc32(model.read_bytes())
         begin = end
-    (options.out / "summary.json").write_text(
-        json.dumps({"end_reason": "frame_budget", "digest": f"{seed}", "coverage": 0.5})
-    )
+    summary = {"end_reason": "frame_budget", "digest": f"{seed}", "coverage": 0.5}
+    # Like the robot: the loop, which waits for this file, must never read a part of it.
+    write_atomically(json.dumps(summary).encode(), options.out / "summary.json")
 
 
 def wheels(frames: Frames) -> list[dict[str, float]]:

@@ -75,9 +75,8 @@ def render_views(program: Path, scene: str, config: Path, count: int, seed: int,
     partial.parent.mkdir(parents=True, exist_ok=True)
     command = [str(program), "views", "--scene", scene, "--count", str(count), "--seed", str(seed)]
     with log.open("ab") as stream:
-        done = subprocess.run(
-            [*command, "--config", str(config), "--out", str(partial)], stdout=stream, stderr=stream, check=False
-        )
+        command += ["--config", str(config), "--out", str(partial)]
+        done = subprocess.run(command, stdout=stream, stderr=stream, check=False, preexec_fn=die_with_parent)
     if done.returncode != 0:
         raise TrainerError(f"firmware-host could not render test views; {log} ends with\n{last_lines(log)}")
     partial.rename(out)
