@@ -7,7 +7,7 @@
 )]
 
 use std::io::{Read, Write};
-use std::os::unix::net::UnixStream;
+use std::os::unix::net::{UnixDatagram, UnixStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -26,6 +26,7 @@ use hal::{CameraModel, Clock};
 use hil::world::{LiveOptions, LiveWorld, ScannerModel};
 use live_link::{Frame, FrameReader};
 use monotonic_clock::MonotonicClock;
+use runtime::outside_pose::OutsidePose;
 use runtime::task::AreaChange;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -80,19 +81,26 @@ impl Scene {
         Self { folder, world, robot }
     }
 
-    /// With a safety board on the bus, which is configured.
-    fn with_board() -> (Self, Board) {
+    /// With a part of its configuration replaced. `{}` is the scene's folder.
+    fn with_another(from: &str, to: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
         let options = LiveOptions { camera, ..LiveOptions::default() };
         let world = LiveWorld::start(folder.path(), &options).unwrap();
         let config = std::fs::read_to_string(world.config()).unwrap();
-        let with_board = config.replace("safety_board = false", "safety_board = true");
-        assert_ne!(config, with_board);
-        std::fs::write(world.config(), with_board).unwrap();
-        let board = Board::start(&folder.path().join("can"));
+        let to = to.replace("{}", folder.path().to_str().unwrap());
+        let changed = config.replace(from, &to);
+        assert_ne!(config, changed);
+        std::fs::write(world.config(), changed).unwrap();
         let robot = start(&world, folder.path(), "run", &[]);
-        (Self { folder, world, robot }, board)
+        Self { folder, world, robot }
+    }
+
+    /// With a safety board on the bus, which is configured.
+    fn with_board() -> (Self, Board) {
+        let scene = Self::with_another("safety_board = false", "safety_board = true");
+        let board = Board::start(&scene.path("can"));
+        (scene, board)
     }
 
     /// Ends the program and starts another one.
@@ -859,4 +867,26 @@ fn a_robot_signs_its_runs_and_a_workstation_accepts_those_of_the_robots_that_it_
     assert!(accepted && said.matches("; signed by kitchen\n").count() == 2, "{said}");
     let (accepted, said) = verify("others");
     assert!(!accepted && said.contains("not recorded by a known robot: 2 of 2"), "{said}");
+}
+
+#[test]
+fn a_pose_from_another_program_reaches_the_robot_and_its_recording() {
+    let mut scene = Scene::with_another("[run]\n", "[run]\npose_socket = \"{}/pose.sock\"\n");
+    scene.drives_first();
+    let sender = UnixDatagram::unbound().unwrap();
+    sender.connect(scene.path("pose.sock")).unwrap();
+    let mut sent = Vec::new();
+    for _ in 0..50 {
+        let time_ns = MonotonicClock.now_ns();
+        let outside = OutsidePose { time_ns, pose: scene.world.home().pose() };
+        sender.send(&serde_json::to_vec(&outside).unwrap()).unwrap();
+        sent.push(outside);
+        pause(20);
+    }
+    scene.ends_well();
+    let recorded = Recorded::open(&scene.path("run")).unwrap();
+    let ticks: Vec<_> = recorded.ticks().map(Result::unwrap).collect();
+    let poses: Vec<_> = ticks.iter().filter_map(|tick| tick.outside).collect();
+    assert!(poses.len() > 3, "{} of {} ticks have a pose from outside", poses.len(), ticks.len());
+    assert!(poses.iter().all(|input| sent.contains(&input.outside)));
 }

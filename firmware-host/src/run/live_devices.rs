@@ -12,9 +12,9 @@ use runtime::session::Devices;
 use crate::config::Config;
 
 /// Clock and camera. Frames are converted to the size that perception works on.
-pub struct LiveDevices {
+pub struct LiveDevices<C = FaultyCamera<V4l2Camera>> {
     clock: FaultyClock<MonotonicClock>,
-    camera: FaultyCamera<V4l2Camera>,
+    camera: C,
     front_end: FrontEnd,
     frame: Frame,
     rgb: Vec<u8>,
@@ -22,15 +22,19 @@ pub struct LiveDevices {
 }
 
 impl LiveDevices {
+    /// The camera's state, and why its latest frame could not be used.
+    #[must_use]
+    pub fn camera(&self) -> (DeviceStatus, Option<&String>) {
+        (self.camera.injector().status(self.camera.inner().status()), self.problem.as_ref())
+    }
+}
+
+impl<C: Camera> LiveDevices<C> {
     /// Devices that have not fetched a frame yet.
     ///
     /// # Errors
     /// When the camera's frames cannot be converted to those that perception works on.
-    pub fn new(
-        config: &Config,
-        clock: FaultyClock<MonotonicClock>,
-        camera: FaultyCamera<V4l2Camera>,
-    ) -> Result<Self> {
+    pub fn new(config: &Config, clock: FaultyClock<MonotonicClock>, camera: C) -> Result<Self> {
         let source = *camera.model();
         let target = config.camera.model();
         let format = config.devices.camera.format.pixels();
@@ -41,19 +45,13 @@ impl LiveDevices {
         Ok(Self { clock, camera, front_end, frame: Frame::empty(), rgb, problem: None })
     }
 
-    /// The camera's state, and why its latest frame could not be used.
-    #[must_use]
-    pub fn camera(&self) -> (DeviceStatus, Option<&String>) {
-        (self.camera.injector().status(self.camera.inner().status()), self.problem.as_ref())
-    }
-
     fn convert(&mut self) -> Result<(), String> {
         let view = self.frame.view().map_err(|error| error.to_string())?;
         self.front_end.to_rgb(view, &mut self.rgb).map_err(|error| error.to_string())
     }
 }
 
-impl Clock for LiveDevices {
+impl<C> Clock for LiveDevices<C> {
     fn now_ns(&self) -> u64 {
         self.clock.now_ns()
     }
@@ -63,7 +61,7 @@ impl Clock for LiveDevices {
     }
 }
 
-impl Devices for LiveDevices {
+impl<C: Camera> Devices for LiveDevices<C> {
     fn poll_frame(&mut self) -> Option<u64> {
         match self.camera.poll_frame(&mut self.frame) {
             Ok(false) => return None,
@@ -80,5 +78,72 @@ impl Devices for LiveDevices {
     fn frame(&self) -> Option<ImageView<'_>> {
         let target = self.front_end.target();
         ImageView::rgb8(target.width, target.height, &self.rgb).ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::VecDeque;
+    use std::sync::Arc;
+
+    use drivers::fault::Faults;
+    use drivers::v4l2::{CameraFormat, V4l2Error};
+    use hal::{CameraModel, ErrorType};
+
+    /// The answer to a poll: the time and the bytes of a frame of 16x8 pixels, if there is one.
+    type Answer = Result<Option<(u64, Vec<u8>)>, V4l2Error>;
+
+    /// A camera that answers each poll with the next of its answers.
+    struct Script {
+        model: CameraModel,
+        answers: VecDeque<Answer>,
+    }
+
+    impl ErrorType for Script {
+        type Error = V4l2Error;
+    }
+
+    impl Camera for Script {
+        fn model(&self) -> &CameraModel {
+            &self.model
+        }
+
+        fn poll_frame(&mut self, frame: &mut Frame) -> Result<bool, V4l2Error> {
+            let answer = self.answers.pop_front().unwrap()?;
+            let Some((time_ns, data)) = answer else { return Ok(false) };
+            *frame = Frame { time_ns, width: 16, height: 8, data, ..Frame::empty() };
+            Ok(true)
+        }
+    }
+
+    #[test]
+    fn only_a_frame_that_came_and_could_be_converted_counts_as_new() {
+        let mut config = Config::default();
+        config.camera.width = 16;
+        config.camera.height = 8;
+        config.devices.camera.format = CameraFormat::Rgb24;
+        let model = config.camera.model();
+        let whole = |shade| vec![shade; 3 * 16 * 8];
+        let answers = [
+            Ok(Some((1, whole(10)))),
+            Ok(None),
+            Err(V4l2Error::Denied { device: "/dev/video0".into() }),
+            Ok(Some((2, vec![20; 7]))),
+            Ok(Some((3, whole(30)))),
+        ];
+        let script = Script { model, answers: answers.into() };
+        let faults = Faults::new(Vec::new(), 1, Arc::new(|| 0));
+        let clock = FaultyClock::new(MonotonicClock, &faults);
+        let mut devices = LiveDevices::new(&config, clock, script).unwrap();
+        let mut problems = Vec::new();
+        let times = [(); 5].map(|()| {
+            let time_ns = devices.poll_frame();
+            problems.push(devices.problem.is_some());
+            time_ns
+        });
+        assert_eq!(times, [Some(1), None, None, None, Some(3)]);
+        assert_eq!(problems, [false, false, true, true, false]);
+        assert_eq!(devices.frame().unwrap().data()[0], 30);
     }
 }

@@ -190,18 +190,24 @@ fn explore(
         if let Some(pose) = inputs.poses.as_mut().and_then(PoseSocket::take) {
             exploration.session.give_pose(pose);
         }
-        if operator.ends.load(Ordering::Relaxed) {
-            return Ok(ExploreEnd::Interrupted);
-        }
-        if args.frames.is_some_and(|frames| exploration.log.frames >= frames) {
-            return Ok(ExploreEnd::FrameBudget);
-        }
-        if !safety.is_alive() {
-            return Ok(ExploreEnd::DeviceFailed);
+        let interrupted = operator.ends.load(Ordering::Relaxed);
+        let has_frames = args.frames.is_some_and(|frames| exploration.log.frames >= frames);
+        if let Some(end) = end_of_run(interrupted, has_frames, safety.is_alive()) {
+            return Ok(end);
         }
         exploration.take_orders();
         exploration.tick()?;
         supervision.update(safety, exploration);
+    }
+}
+
+/// Why the run ends now, if it does. Without its safety thread the robot explores no further: nothing would stop it.
+fn end_of_run(interrupted: bool, has_frames: bool, safety_is_alive: bool) -> Option<ExploreEnd> {
+    match (interrupted, has_frames, safety_is_alive) {
+        (true, _, _) => Some(ExploreEnd::Interrupted),
+        (_, true, _) => Some(ExploreEnd::FrameBudget),
+        (_, _, false) => Some(ExploreEnd::DeviceFailed),
+        _ => None,
     }
 }
 
@@ -294,4 +300,17 @@ fn report(
     }
     println!("Numbers are in {}/summary.json.", out.display());
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_ends_by_a_signal_with_its_last_frame_or_without_its_safety_thread() {
+        assert_eq!(end_of_run(false, false, true), None);
+        assert_eq!(end_of_run(true, false, true), Some(ExploreEnd::Interrupted));
+        assert_eq!(end_of_run(false, true, true), Some(ExploreEnd::FrameBudget));
+        assert_eq!(end_of_run(false, false, false), Some(ExploreEnd::DeviceFailed));
+    }
 }

@@ -245,11 +245,7 @@ where
         let step = self.task.step(now_ns, &orders);
         let state = step.state;
         status.lidar_error = step.lidar_error;
-        match step.output.event {
-            Some(SafetyEvent::ArmingLapsed { why }) => status.lapsed = Some(why),
-            Some(SafetyEvent::Armed) => status.lapsed = None,
-            _ => {}
-        }
+        status.lapsed = lapsed_after(step.output.event, status.lapsed);
         let is_new_fault = matches!(state, SafetyState::Fault(_)) && state != status.state;
         if state.name() != status.state.name() || is_new_fault {
             status.since_ns = now_ns;
@@ -266,6 +262,15 @@ where
         status.steps += 1;
         *self.status.input_buffer_mut() = *status;
         self.status.publish();
+    }
+}
+
+/// Why the last request to arm was void, after a step with this event.
+fn lapsed_after(event: Option<SafetyEvent>, before: Option<FaultReason>) -> Option<FaultReason> {
+    match event {
+        Some(SafetyEvent::ArmingLapsed { why }) => Some(why),
+        Some(SafetyEvent::Armed) => None,
+        _ => before,
     }
 }
 
@@ -333,15 +338,18 @@ mod tests {
     use drivers::fault::{Faults, FaultyBase, FaultyLidar};
     use drivers::lidar::AnyLidar;
 
-    /// The loop of a robot whose devices are absent.
-    fn looping() -> (Looping<FaultyBase<AnyBase>, FaultyLidar<AnyLidar>>, SafetyThread) {
+    /// The safety loop of a robot whose devices are absent.
+    fn control() -> SafetyLoop<FaultyBase<AnyBase>, FaultyLidar<AnyLidar>> {
         let mut config = Config::default();
         config.devices.lidar.port = "/nonexistent/lidar".parse().unwrap();
         config.devices.base.bus = "unix:/nonexistent/can".to_owned();
         config.devices.base.protocol = drivers::can::Protocol::Vesc;
         let faults = Faults::new(Vec::new(), 1, Arc::new(|| 0));
-        let (control, _) = open_scanner_and_base(&config, &faults).unwrap();
-        let (looping, thread, _) = connect(control, None, false);
+        open_scanner_and_base(&config, &faults).unwrap().0
+    }
+
+    fn looping() -> (Looping<FaultyBase<AnyBase>, FaultyLidar<AnyLidar>>, SafetyThread) {
+        let (looping, thread, _) = connect(control(), None, false);
         (looping, thread)
     }
 
@@ -371,5 +379,25 @@ mod tests {
         looping.step(MonotonicClock.now_ns(), &mut status);
         assert_eq!(status.state, SafetyState::Fault(FaultReason::EmergencyStop));
         assert_eq!(thread.panel.plane().words(), "fault: the emergency stop is pressed");
+    }
+
+    #[test]
+    fn a_request_to_arm_that_lapsed_is_reported_until_a_later_one_is_followed() {
+        let why = FaultReason::LidarSilent;
+        let lapsed = lapsed_after(Some(SafetyEvent::ArmingLapsed { why }), None);
+        assert_eq!(lapsed, Some(why));
+        assert_eq!(lapsed_after(None, lapsed), Some(why));
+        assert_eq!(lapsed_after(Some(SafetyEvent::Cleared), lapsed), Some(why));
+        assert_eq!(lapsed_after(Some(SafetyEvent::Armed), lapsed), None);
+    }
+
+    #[test]
+    fn a_thread_that_has_ended_is_not_alive_and_an_ordinary_one_has_no_real_time_priority() {
+        let open = || Ok(Opened { control: control(), stop_line: None, rest: () });
+        let pace = Pace { period_ns: 1_000_000, priority: 0 };
+        let (mut thread, _port, ()) = SafetyThread::start(pace, open).unwrap();
+        assert!(thread.is_alive() && !thread.realtime);
+        assert!(thread.shut_down().is_some());
+        assert!(!thread.is_alive());
     }
 }
