@@ -13,7 +13,7 @@ use super::config::{ExplorationConfig, PolicyKind};
 use super::ending::Ending;
 use super::errand::{Errand, Means, moved_pose};
 use super::goal::Goal;
-use super::navigator::Navigator;
+use super::navigator::{FRONTIER_RADIUS_M, Navigator};
 use crate::event::{DropReason, Event, GoalReason, NoGoalReason};
 use crate::mapping::{CellState, OccupancyGrid, SingleFrameMap};
 use crate::planning::{
@@ -29,9 +29,6 @@ const RETRY_TICKS: u64 = 16;
 /// Ticks between two recorded positions, and the number of positions kept: the last 100 s at 10 Hz.
 const POSITION_EVERY_TICKS: u64 = 10;
 const POSITION_COUNT: usize = 100;
-/// A frontier still exists while unknown floor meets free floor within this distance of its
-/// centroid, metres.
-const FRONTIER_RADIUS_M: f64 = 0.45;
 /// Number of places drawn at random when nothing is left to explore; the one farthest from the
 /// robot's recent positions is chosen.
 const REVISIT_DRAWS: usize = 16;
@@ -622,6 +619,24 @@ mod tests {
     #[test]
     fn without_doubtful_obstacles_any_known_place_is_chosen_instead() {
         assert_eq!(first_goal(0.0), GoalReason::Revisit);
+    }
+
+    #[test]
+    fn a_frontier_all_around_the_robot_is_not_resolved_before_it_is_observed() {
+        let mut map = OccupancyGrid::new(&MapConfig::default()).unwrap();
+        // The walls are beyond the range up to which the map clears: the centroid is the robot's place.
+        scan_around(&mut map, |_| 5.0);
+        let mut explorer = explorer(PolicyKind::Frontier, ExplorationConfig::default(), 1);
+        let mut events = Vec::new();
+        for tick in 0..30 {
+            let time_ns = tick * 100_000_000;
+            let pose = Pose2::IDENTITY;
+            let senses =
+                Observations { tick, time_ns, pose, map: &map, frame_maps: None, bumped: false };
+            explorer.step(&senses, &mut events);
+        }
+        let chosen = events.iter().filter(|event| matches!(event, Event::GoalChosen { .. }));
+        assert_eq!(chosen.count(), 1, "{events:?}");
     }
 
     #[test]

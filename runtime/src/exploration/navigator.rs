@@ -18,6 +18,8 @@ use crate::task::AreaChange;
 /// A frontier's approach cell may lie in an obstacle's margin. The nearest reachable cell within
 /// this radius replaces it, metres.
 const APPROACH_RADIUS_M: f64 = 0.5;
+/// A frontier still exists while unknown floor meets free floor within this distance of its place, metres.
+pub(super) const FRONTIER_RADIUS_M: f64 = 0.45;
 /// An inconsistent place is observed from reachable floor at most this far away, metres.
 const VIEWPOINT_RADIUS_M: f64 = 1.5;
 /// Inconsistent places with fewer cells than this are noise.
@@ -131,6 +133,14 @@ impl Navigator {
     }
 }
 
+/// The place to observe of a frontier: its centroid, or where it is approached if it bends around its centroid.
+fn place_of(frontier: &Frontier, cell_m: f64) -> [f64; 2] {
+    let approach_m = frontier.approach.center_m(cell_m);
+    let [x_m, y_m] = frontier.centroid_m;
+    let apart_m = (x_m - approach_m[0]).hypot(y_m - approach_m[1]);
+    if apart_m + cell_m < FRONTIER_RADIUS_M { frontier.centroid_m } else { approach_m }
+}
+
 impl Survey<'_> {
     /// Every frontier outside of closed areas, with the length of the path to it.
     pub(super) fn frontiers(&self) -> Vec<Candidate> {
@@ -144,7 +154,7 @@ impl Survey<'_> {
                 let approach = self.reach.nearest(frontier.approach, APPROACH_RADIUS_M);
                 Candidate {
                     target_m: approach.unwrap_or(frontier.approach).center_m(self.cell_m),
-                    interest_m: frontier.centroid_m,
+                    interest_m: place_of(frontier, self.cell_m),
                     size_m: frontier.cells as f64 * self.cell_m,
                     travel_m: approach.and_then(|cell| self.reach.distance_m(cell)),
                 }

@@ -79,6 +79,9 @@ hal::settings! {
         lidar: LidarUse = LidarUse::default();
         /// LiDAR hits further away are not used.
         lidar_range_m: f32 = 2.0, in 0.1..=30.0, unit "m";
+        /// Depth that ends further than this behind a surface that the LiDAR measures on a width of 0.2 m stays out of the map;
+        /// 20: none does.
+        behind_hit_m: f32 = 0.15, in 0.1..=20.0, unit "m", source "noise of ranges and poses, and two cells";
         /// Width of the obstacle that a collision puts into the map.
         collision_width_m: f64 = 0.2, in 0.0..=2.0, unit "m", source "paper's code";
         /// Log-odds of a collision. They neither decay nor are cleared until the collision expires.

@@ -4,6 +4,7 @@ use hal::{CameraModel, Pose2, Pose3};
 use serde::{Deserialize, Serialize};
 
 use super::ground::GroundCell;
+use super::shadow::Shadow;
 use super::window::Window;
 use super::{Cell, CellBox, CellState, FrameMapper, MapConfig, MapError, SingleFrameMap};
 use crate::perception::DepthEstimate;
@@ -50,6 +51,10 @@ pub struct OccupancyGrid {
     pub(super) section: u16,
     /// Drops that the current update saw, and floor in cells that hold a drop.
     ground: Vec<GroundCell>,
+    /// What the newest scan hides from the camera.
+    pub(super) shadow: Shadow,
+    /// Position of the robot in this update, metres.
+    pub(super) robot: [f64; 2],
     /// The robot's cell and the radius of the floor under it, in cells.
     standing: Option<(Cell, f64)>,
     pub(super) collisions: Vec<Collision>,
@@ -88,6 +93,8 @@ impl OccupancyGrid {
             section_of: vec![0; cells],
             section: 0,
             ground: Vec::new(),
+            shadow: Shadow::default(),
+            robot: [0.0; 2],
             standing: None,
             collisions: Vec::new(),
             known: None,
@@ -109,6 +116,8 @@ impl OccupancyGrid {
     pub fn begin_update(&mut self, t_odom_base: &Pose2) -> Result<(), MapError> {
         check_pose2("t_odom_base", t_odom_base)?;
         self.recenter(self.cell_at(t_odom_base.x_m, t_odom_base.y_m));
+        self.robot = [t_odom_base.x_m, t_odom_base.y_m];
+        self.shadow.follow(self.robot);
         self.updates += 1;
         self.newly_known.clear();
         self.changes.clear();
@@ -145,6 +154,9 @@ impl OccupancyGrid {
     fn add_frame(&mut self, frame: &SingleFrameMap) {
         for seen in &frame.cells {
             let Some(index) = self.window.index(seen.cell) else { continue };
+            if self.shadow.hides(seen.cell.center_m(self.config.cell_m)) {
+                continue;
+            }
             let height_cm = (seen.height_m * 100.0).clamp(1.0, 254.0) as u8;
             if seen.evidence > 0.0 {
                 self.add_camera_obstacle(seen.cell, seen.evidence, height_cm);
@@ -160,7 +172,8 @@ impl OccupancyGrid {
     fn add_ground(&mut self) {
         for seen in self.mapper.ground() {
             let Some(index) = self.window.index(seen.cell) else { continue };
-            if seen.evidence > 0.0 || self.holds_drop(index) {
+            let counts = seen.evidence > 0.0 || self.holds_drop(index);
+            if counts && !self.shadow.hides(seen.cell.center_m(self.config.cell_m)) {
                 self.ground.push(*seen);
             }
         }
@@ -526,6 +539,7 @@ impl State for OccupancyGrid {
         write_bulk(&self.top_cm, to);
         write_bulk(&self.section_of, to);
         self.section.write(to);
+        self.shadow.write(to);
     }
 
     fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
@@ -540,6 +554,7 @@ impl State for OccupancyGrid {
         read_bulk(&mut self.top_cm, cells, from)?;
         read_bulk(&mut self.section_of, cells, from)?;
         self.section.read(from)?;
+        self.shadow.read(from)?;
         let sizes = [self.stored.len(), self.top_cm.len(), self.section_of.len()];
         if sizes != [cells; 3] {
             return Err(SnapshotError::Damaged("a map of another size".to_owned()));

@@ -20,6 +20,9 @@ mod inconsistency;
 mod rays;
 mod recompose;
 mod scan;
+mod shadow;
+#[cfg(test)]
+mod shadow_tests;
 #[cfg(test)]
 mod tests;
 mod window;

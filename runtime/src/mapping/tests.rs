@@ -9,7 +9,7 @@ use super::*;
 use crate::perception::DepthEstimate;
 
 /// An axis-aligned box as its minimum and maximum corner, metres.
-type Solid = [[f64; 3]; 2];
+pub(super) type Solid = [[f64; 3]; 2];
 
 pub(super) fn camera() -> CameraModel {
     CameraModel::pinhole(640, 192, core::f64::consts::FRAC_PI_2)
@@ -24,7 +24,7 @@ pub(super) fn mount(pose: &Pose2, pitch_down_rad: f64) -> Pose3 {
 }
 
 /// Four walls around a floor of `size_m` centred on the origin, from the floor to 2.5 m.
-fn room(size_m: [f64; 2]) -> Vec<Solid> {
+pub(super) fn room(size_m: [f64; 2]) -> Vec<Solid> {
     let [x, y] = size_m.map(|size| size / 2.0);
     let t = 0.2;
     vec![
@@ -49,7 +49,11 @@ fn enter(solid: &Solid, origin: &Vector3<f64>, direction: &Vector3<f64>) -> f64 
 }
 
 /// The exact depth of solids on an infinite floor, with full confidence.
-fn exact_depth(solids: &[Solid], camera: &CameraModel, t_odom_camera: &Pose3) -> DepthEstimate {
+pub(super) fn exact_depth(
+    solids: &[Solid],
+    camera: &CameraModel,
+    t_odom_camera: &Pose3,
+) -> DepthEstimate {
     let origin = t_odom_camera.translation.vector;
     let mut estimate = DepthEstimate::none(camera.width, camera.height);
     for v in 0..camera.height {

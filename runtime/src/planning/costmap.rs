@@ -350,7 +350,11 @@ mod tests {
 
     fn costmap(grid: &OccupancyGrid) -> Costmap {
         // Small enough that the cost has several steps between the obstacle and free floor.
-        let config = PlanConfig { footprint_radius_m: 0.12, ..PlanConfig::default() };
+        let config = PlanConfig {
+            footprint_radius_m: 0.12,
+            inflation_radius_m: 0.24,
+            ..PlanConfig::default()
+        };
         let mut costmap = Costmap::new(&config).unwrap();
         costmap.update(grid);
         costmap

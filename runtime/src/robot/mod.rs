@@ -576,6 +576,13 @@ impl Robot {
         if self.map.begin_update(&t_map_base).is_err() {
             return;
         }
+        let t_map_laser = scan.map(|scan| {
+            let t_map_scan = self.poses.t_map_odom.compose(&self.poses.t_odom_base_at_scan);
+            (scan, t_map_scan.compose(&self.config.t_base_laser))
+        });
+        if let Some((scan, t_map_laser)) = &t_map_laser {
+            let _ = self.map.hide_behind(scan, t_map_laser);
+        }
         let turned_deg = self.watch.camera_turned_rad().to_degrees();
         let trusts_camera = turned_deg <= self.config.map.camera_trust_deg;
         // The body of `mapped_depth`, repeated so that the borrow checker sees that `self.map` is not borrowed.
@@ -593,9 +600,8 @@ impl Robot {
             let gap = self.config.exploration.inconsistency_gap;
             remember_frame_map(&mut self.frame_maps, newest, gap);
         }
-        if let Some(scan) = scan {
-            let t_map_scan = self.poses.t_map_odom.compose(&self.poses.t_odom_base_at_scan);
-            let _ = self.map.integrate_scan(scan, &t_map_scan.compose(&self.config.t_base_laser));
+        if let Some((scan, t_map_laser)) = &t_map_laser {
+            let _ = self.map.integrate_scan(scan, t_map_laser);
         }
         if let Some([x_m, y_m]) = self.collision_at.take() {
             let yaw_rad = (y_m - t_map_base.y_m).atan2(x_m - t_map_base.x_m);
