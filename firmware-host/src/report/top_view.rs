@@ -5,7 +5,7 @@ use std::path::Path;
 
 use hal::{CameraModel, Pose2, Pose3};
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use runtime::mapping::{Cell, CellState, MapConfig, MapError, OccupancyGrid};
+use runtime::mapping::{Cell, CellState, MapConfig, MapError, OccupancyGrid, Shadow};
 use runtime::perception::DepthEstimate;
 
 use super::atomic::ReportError;
@@ -66,7 +66,10 @@ impl TopView {
         self.trajectory.push(pose);
         let Some(depth) = depth else { return Ok(()) };
         self.grid.begin_update(&pose)?;
-        let seen = self.grid.integrate_depth(depth, camera, &t_level_camera).map(|_| ());
+        let seen = self
+            .grid
+            .integrate_depth(depth, camera, &t_level_camera, &Shadow::default())
+            .map(|_| ());
         self.grid.finish_update();
         // A camera that points straight up or down sees no walls.
         if seen == Err(MapError::CameraVertical) { Ok(()) } else { seen }

@@ -14,7 +14,7 @@ const PROGRESS_M: f64 = 0.1;
 pub struct Goal {
     /// Where to drive: free floor in `odom`, metres.
     pub target_m: [f64; 2],
-    /// The place to observe from there (the frontier's centroid, the inconsistent place), in
+    /// The place to observe from there (the frontier's centroid or where the frontier is approached, the inconsistent place), in
     /// `odom`, metres.
     pub interest_m: [f64; 2],
     pub why: GoalReason,

@@ -79,8 +79,9 @@ hal::settings! {
         lidar: LidarUse = LidarUse::default();
         /// LiDAR hits further away are not used.
         lidar_range_m: f32 = 2.0, in 0.1..=30.0, unit "m";
-        /// Depth that ends further than this behind a surface that the LiDAR measures on a width of 0.2 m stays out of the map;
-        /// 20: none does.
+        /// Cells that are further than this behind a surface which the LiDAR measures on a width of 0.2 m take nothing from the
+        /// camera but low obstacles, which leave the image when the robot comes near. 20: they take everything. Without effect if
+        /// `lidar` is "off".
         behind_hit_m: f32 = 0.15, in 0.1..=20.0, unit "m", source "noise of ranges and poses, and two cells";
         /// Width of the obstacle that a collision puts into the map.
         collision_width_m: f64 = 0.2, in 0.0..=2.0, unit "m", source "paper's code";

@@ -4,9 +4,10 @@ use hal::{CameraModel, Pose2, Pose3};
 use serde::{Deserialize, Serialize};
 
 use super::ground::GroundCell;
-use super::shadow::Shadow;
 use super::window::Window;
-use super::{Cell, CellBox, CellState, FrameMapper, MapConfig, MapError, SingleFrameMap};
+use super::{
+    Cell, CellBox, CellState, FrameMapper, LidarUse, MapConfig, MapError, Shadow, SingleFrameMap,
+};
 use crate::perception::DepthEstimate;
 use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 
@@ -19,6 +20,10 @@ const FAINTEST: f32 = 1e-20;
 /// The common factor is multiplied into the cells when it becomes smaller than this: about every
 /// 2,000 updates at a decay of 0.98.
 const RENORMALISE_BELOW: f64 = 1e-18;
+
+/// Distance at which an obstacle must still be in the image if the map waits until the robot is there, metres. The camera of the
+/// default robot is within its footprint, and the robot stops in half of that.
+const NEAR_M: f64 = 0.5;
 
 /// Stands for a height in cells that hold a drop instead of an obstacle. Obstacles are at most 2.5 m
 /// high.
@@ -51,10 +56,6 @@ pub struct OccupancyGrid {
     pub(super) section: u16,
     /// Drops that the current update saw, and floor in cells that hold a drop.
     ground: Vec<GroundCell>,
-    /// What the newest scan hides from the camera.
-    pub(super) shadow: Shadow,
-    /// Position of the robot in this update, metres.
-    pub(super) robot: [f64; 2],
     /// The robot's cell and the radius of the floor under it, in cells.
     standing: Option<(Cell, f64)>,
     pub(super) collisions: Vec<Collision>,
@@ -93,8 +94,6 @@ impl OccupancyGrid {
             section_of: vec![0; cells],
             section: 0,
             ground: Vec::new(),
-            shadow: Shadow::default(),
-            robot: [0.0; 2],
             standing: None,
             collisions: Vec::new(),
             known: None,
@@ -116,8 +115,6 @@ impl OccupancyGrid {
     pub fn begin_update(&mut self, t_odom_base: &Pose2) -> Result<(), MapError> {
         check_pose2("t_odom_base", t_odom_base)?;
         self.recenter(self.cell_at(t_odom_base.x_m, t_odom_base.y_m));
-        self.robot = [t_odom_base.x_m, t_odom_base.y_m];
-        self.shadow.follow(self.robot);
         self.updates += 1;
         self.newly_known.clear();
         self.changes.clear();
@@ -133,6 +130,10 @@ impl OccupancyGrid {
     /// Integrates a depth frame. Returns its single-frame map, for comparison with those of other
     /// frames.
     ///
+    /// Cells in the `shadow` of the scan become neither free nor occupied by what the camera still sees from near by. What is so
+    /// low that it leaves the image when the robot comes near, such as a table top behind a box, is marked: it would not be seen
+    /// again.
+    ///
     /// # Errors
     /// As [`FrameMapper::map`]; the map is then unchanged.
     pub fn integrate_depth(
@@ -140,21 +141,25 @@ impl OccupancyGrid {
         estimate: &DepthEstimate,
         camera: &CameraModel,
         t_odom_camera: &Pose3,
+        shadow: &Shadow,
     ) -> Result<&SingleFrameMap, MapError> {
         let mut frame = core::mem::take(&mut self.frame);
         let result = self.mapper.map(estimate, camera, t_odom_camera, &mut frame);
         if result.is_ok() {
-            self.add_frame(&frame);
+            self.add_frame(&frame, shadow, lowest_near_m(camera, t_odom_camera));
             self.add_ground();
         }
         self.frame = frame;
         result.map(|()| &self.frame)
     }
 
-    fn add_frame(&mut self, frame: &SingleFrameMap) {
+    fn add_frame(&mut self, frame: &SingleFrameMap, shadow: &Shadow, lowest_near_m: f64) {
+        let behind_m = self.config.behind_hit_m;
         for seen in &frame.cells {
             let Some(index) = self.window.index(seen.cell) else { continue };
-            if self.shadow.hides(seen.cell.center_m(self.config.cell_m)) {
+            let is_seen_from_near = seen.evidence < 0.0 || f64::from(seen.height_m) > lowest_near_m;
+            let hides = self.config.lidar != LidarUse::Off && is_seen_from_near;
+            if hides && shadow.hides(seen.cell.center_m(self.config.cell_m), behind_m) {
                 continue;
             }
             let height_cm = (seen.height_m * 100.0).clamp(1.0, 254.0) as u8;
@@ -172,8 +177,7 @@ impl OccupancyGrid {
     fn add_ground(&mut self) {
         for seen in self.mapper.ground() {
             let Some(index) = self.window.index(seen.cell) else { continue };
-            let counts = seen.evidence > 0.0 || self.holds_drop(index);
-            if counts && !self.shadow.hides(seen.cell.center_m(self.config.cell_m)) {
+            if seen.evidence > 0.0 || self.holds_drop(index) {
                 self.ground.push(*seen);
             }
         }
@@ -539,7 +543,6 @@ impl State for OccupancyGrid {
         write_bulk(&self.top_cm, to);
         write_bulk(&self.section_of, to);
         self.section.write(to);
-        self.shadow.write(to);
     }
 
     fn read(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
@@ -554,7 +557,6 @@ impl State for OccupancyGrid {
         read_bulk(&mut self.top_cm, cells, from)?;
         read_bulk(&mut self.section_of, cells, from)?;
         self.section.read(from)?;
-        self.shadow.read(from)?;
         let sizes = [self.stored.len(), self.top_cm.len(), self.section_of.len()];
         if sizes != [cells; 3] {
             return Err(SnapshotError::Damaged("a map of another size".to_owned()));
@@ -564,6 +566,13 @@ impl State for OccupancyGrid {
         }
         Ok(())
     }
+}
+
+/// Height of the lowest ray in the middle of the image at [`NEAR_M`] from the camera, metres above the floor.
+fn lowest_near_m(camera: &CameraModel, t_odom_camera: &Pose3) -> f64 {
+    let lowest = camera.ray(camera.width as f64 / 2.0, camera.height as f64 - 1.0);
+    let ray = t_odom_camera.rotation * lowest;
+    t_odom_camera.translation.vector.z + NEAR_M * ray.z / ray.x.hypot(ray.y)
 }
 
 pub(super) fn check_pose2(pose: &'static str, value: &Pose2) -> Result<(), MapError> {

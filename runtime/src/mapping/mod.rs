@@ -37,4 +37,5 @@ pub use inconsistency::{Inconsistency, inconsistencies};
 pub use recompose::{Corrections, Recomposed, Recomposition};
 #[cfg(test)]
 pub(crate) use scan::cells_on_line;
+pub use shadow::Shadow;
 pub use window::CellBox;

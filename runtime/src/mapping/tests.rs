@@ -273,7 +273,13 @@ proptest! {
 fn update(grid: &mut OccupancyGrid, solids: &[Solid], robot: &Pose2) {
     grid.begin_update(robot).unwrap();
     let pose = mount(robot, 0.0);
-    grid.integrate_depth(&exact_depth(solids, &camera(), &pose), &camera(), &pose).unwrap();
+    grid.integrate_depth(
+        &exact_depth(solids, &camera(), &pose),
+        &camera(),
+        &pose,
+        &Shadow::default(),
+    )
+    .unwrap();
     grid.finish_update();
 }
 

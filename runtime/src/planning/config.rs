@@ -26,8 +26,9 @@ hal::settings! {
     pub struct PlanningSection {
         /// The planner keeps this distance between the footprint and obstacles.
         margin_m: f64 = 0.02, in 0.0..=0.5, unit "m";
-        /// Driving costs more up to this distance from an obstacle.
-        inflation_radius_m: f64 = 0.4, in 0.0..=1.0, unit "m", source "0.2 m beyond the footprint: the camera marks edges of tables up to 5 cm too short";
+        /// Driving costs more where the robot's centre is nearer to an obstacle than this. Choose about 0.25 m more than the radius
+        /// of the footprint.
+        inflation_radius_m: f64 = 0.4, in 0.0..=1.0, unit "m", source "table tops seem up to 5 cm smaller than they are";
         /// Additional cost of a metre right beside an obstacle, in metres of free floor. It falls with the square of the
         /// distance.
         inflation_cost: f64 = 4.0, in 0.0..=10.0, unit "m";

@@ -22,7 +22,7 @@ use crate::calibration_watch::CalibrationWatch;
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
 use crate::localization::{LocalizationConfig, LocalizationError, Whereabouts};
-use crate::mapping::{MapConfig, MapError, OccupancyGrid, SingleFrameMap};
+use crate::mapping::{MapConfig, MapError, OccupancyGrid, Shadow, SingleFrameMap};
 use crate::perception::{
     CoarseConfig, CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth,
     Moment, NoDepth, PerceptionError,
@@ -182,6 +182,8 @@ pub struct Robot {
     lost_motion: LostMotion,
     map_correction: MapCorrection,
     map: OccupancyGrid,
+    /// What the newest scan hides from the camera.
+    shadow: Shadow,
     /// Maps of the newest single frames, oldest first, from which the policy finds inconsistencies.
     frame_maps: VecDeque<SingleFrameMap>,
     explorer: Explorer,
@@ -232,6 +234,7 @@ impl Robot {
             lost_motion: LostMotion::default(),
             map_correction: MapCorrection::default(),
             map: OccupancyGrid::new(&config.map)?,
+            shadow: Shadow::default(),
             frame_maps: VecDeque::new(),
             explorer: Explorer::new(
                 config.policy,
@@ -576,12 +579,11 @@ impl Robot {
         if self.map.begin_update(&t_map_base).is_err() {
             return;
         }
-        let t_map_laser = scan.map(|scan| {
-            let t_map_scan = self.poses.t_map_odom.compose(&self.poses.t_odom_base_at_scan);
-            (scan, t_map_scan.compose(&self.config.t_base_laser))
-        });
-        if let Some((scan, t_map_laser)) = &t_map_laser {
-            let _ = self.map.hide_behind(scan, t_map_laser);
+        let t_map_scan = self.poses.t_map_odom.compose(&self.poses.t_odom_base_at_scan);
+        let t_map_laser = t_map_scan.compose(&self.config.t_base_laser);
+        match scan {
+            Some(scan) => self.shadow.cast(scan, &t_map_laser, &self.poses.t_map_odom),
+            None => self.shadow.follow(&t_map_laser, &self.poses.t_map_odom),
         }
         let turned_deg = self.watch.camera_turned_rad().to_degrees();
         let trusts_camera = turned_deg <= self.config.map.camera_trust_deg;
@@ -595,13 +597,14 @@ impl Robot {
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         };
         if let Some(depth) = depth.filter(|_| trusts_camera)
-            && let Ok(newest) = self.map.integrate_depth(depth, &self.config.camera, &t_map_camera)
+            && let Ok(newest) =
+                self.map.integrate_depth(depth, &self.config.camera, &t_map_camera, &self.shadow)
         {
             let gap = self.config.exploration.inconsistency_gap;
             remember_frame_map(&mut self.frame_maps, newest, gap);
         }
-        if let Some((scan, t_map_laser)) = &t_map_laser {
-            let _ = self.map.integrate_scan(scan, t_map_laser);
+        if let Some(scan) = scan {
+            let _ = self.map.integrate_scan(scan, &t_map_laser);
         }
         if let Some([x_m, y_m]) = self.collision_at.take() {
             let yaw_rad = (y_m - t_map_base.y_m).atan2(x_m - t_map_base.x_m);
@@ -760,7 +763,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, shadow, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// Keeps the newest map and those of the `gap` frames before it.
