@@ -37,7 +37,7 @@ fn explored(config: &str) -> serde_json::Value {
     Command::cargo_bin("firmware-host")
         .unwrap()
         .args(["explore", "--scene", "builtin:apartment?seed=1", "--policy", "active"])
-        .args(["--frames", "250", "--seed", "2", "--no-recording"])
+        .args(["--frames", "250", "--seed", "3", "--no-recording"])
         .args(["--config", file.to_str().unwrap(), "--out", out.to_str().unwrap()])
         .assert()
         .success();

@@ -20,6 +20,19 @@ pub const CONFIG: &str = "\
 [camera]\nwidth = 160\nheight = 64\n\
 [models]\nmax_p99_ms = 1000\ngate_timeout_s = 120\ngate_memory_mib = 4096\ntrial_ticks = 60\ntrial_m = 0.2\n";
 
+/// The drive that models are judged by. Of the seeds 1 to 5, with 3 and 4 it shows enough places that a model which is as good as
+/// another one is shown to be so.
+const DRIVE: [&str; 8] = [
+    "--scene",
+    "builtin:apartment?seed=1",
+    "--policy",
+    "active",
+    "--frames",
+    "2200",
+    "--seed",
+    "3",
+];
+
 pub fn binary() -> PathBuf {
     assert_cmd::cargo::cargo_bin!("firmware-host").to_owned()
 }
@@ -151,10 +164,9 @@ impl Robot {
         if !drive.exists() {
             remove_folders_in(&all);
             let unfinished = all.join("unfinished");
-            let scene = "builtin:apartment?seed=1";
-            let mut args = vec!["explore", "--scene", scene, "--policy", "frontier"];
             let config = self.text("robot.toml");
-            args.extend(["--frames", "2200", "--config", &config]);
+            let mut args = vec!["explore", "--config", &config];
+            args.extend(DRIVE);
             args.extend(["--out", unfinished.to_str().unwrap()]);
             let explored = run(&args);
             assert!(explored.status.success(), "{}", String::from_utf8_lossy(&explored.stderr));
@@ -163,11 +175,11 @@ impl Robot {
         drive.to_str().unwrap().to_owned()
     }
 
-    /// A number that differs for another build of the program, and for another configuration.
+    /// A number that differs for another build of the program, another drive and another configuration.
     fn build_and_configuration(&self) -> u64 {
         let program = std::fs::metadata(binary()).unwrap();
         let mut hasher = DefaultHasher::new();
-        (program.modified().unwrap(), program.len(), &self.config).hash(&mut hasher);
+        (program.modified().unwrap(), program.len(), DRIVE, &self.config).hash(&mut hasher);
         hasher.finish()
     }
 
