@@ -1,4 +1,4 @@
-//! `cargo xtask quality`: explores four homes for 400 frames each, with fixed seeds. Depth, map and touches must equal the
+//! `cargo xtask quality`: explores four homes for 600 frames each, with fixed seeds. Depth, map and touches must equal the
 //! committed figures in docs/data/quality.json and may never be worse than the floors below.
 
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ const SCENES: [&str; 4] = [
     "builtin:apartment?seed=12&texture=0.3",
 ];
 /// Enough that one long rotation, in which there is no depth, does not decide.
-const FRAMES: u64 = 400;
+const FRAMES: u64 = 600;
 const SEED: &str = "1";
 const FIGURES: &str = "docs/data/quality.json";
 /// Number of processes at a time: the smallest supported machine has two cores.
