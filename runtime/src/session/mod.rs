@@ -1,7 +1,7 @@
 //! The one loop of the project: sense, perceive, map, decide, hand the plan to the safety loop, record.
 //!
 //! `explore`, `run`, the hardware-in-the-loop scenarios and the accuracy tool are [`Session`]s that differ in their [`Devices`]
-//! and their clock only. [`Robot::tick`] is visible in this crate alone, and its two callers are [`Session::tick`] and
+//! and their clock only. `Robot::tick` is visible in this crate alone, and its two callers are [`Session::tick`] and
 //! [`recompute`], which takes a recorded tick; a second loop does not compile.
 //!
 //! The safety loop stands outside. On a robot a thread of its own steps it; in simulation [`VirtualTime`] steps it, at the same
