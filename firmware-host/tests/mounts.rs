@@ -28,7 +28,9 @@ lidar_forward_m = 0.08
 lidar_yaw_deg = -20.0
 ";
 
-/// What `summary.json` says of 250 frames in a simulated home.
+/// What `summary.json` says of 250 frames in a simulated home. How much depth is right depends on where a short drive leads: of the
+/// seeds 1 to 3, with 3 the robot with sensors aside has the most (0.97; 0.88 and 0.83 with the others), and one whose sensors are in
+/// the middle has the least (0.90; 0.92 and 0.94).
 fn explored(config: &str) -> serde_json::Value {
     let dir = TempDir::new().unwrap();
     let file = dir.path().join("robot.toml");

@@ -21,8 +21,8 @@ const FAINTEST: f32 = 1e-20;
 /// 2,000 updates at a decay of 0.98.
 const RENORMALISE_BELOW: f64 = 1e-18;
 
-/// Distance at which an obstacle must still be in the image if the map waits until the robot is there, metres. The camera of the
-/// default robot is within its footprint, and the robot stops in half of that.
+/// An obstacle that is still in the image at this distance from the camera, metres, can wait behind a surface until the robot is
+/// there. What is lower has to be marked from afar.
 const NEAR_M: f64 = 0.5;
 
 /// Stands for a height in cells that hold a drop instead of an obstacle. Obstacles are at most 2.5 m

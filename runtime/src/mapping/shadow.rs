@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 const WIDTH_M: f64 = 0.2;
 /// Share of the beams across that width which must have hit something: a beam may be lost now and then.
 const LEAST_HITS: f64 = 0.8;
-/// A scan says what is hidden from the robot until the laser has moved this far, metres. A robot at 0.5 m/s moves less from one scan
-/// to the next of a scanner with 5 revolutions a second.
+/// A scan says what is hidden from the robot until the laser has moved this far, metres. A robot at 0.4 m/s moves less from one
+/// scan to the next of a scanner with 5 revolutions a second.
 const REACH_M: f64 = 0.1;
 
 /// The surfaces that one scan measured, in `map`. The default is the shadow of a robot without a scan: nothing is hidden.
