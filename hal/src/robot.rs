@@ -32,10 +32,11 @@ impl Default for RobotDescription {
             footprint_m: Vec::new(),
             camera: CameraMount::default(),
             lidar: LidarMount::default(),
-            // The paper's actions.
+            // The paper's step.
             forward_step_m: 0.03,
-            turn_step_deg: 2.0,
-            // 0.3 m/s and 20 degrees/s.
+            // The paper rotates by 2 degrees, and a robot that explores a home then rotates for more than half of its time.
+            turn_step_deg: 4.0,
+            // 0.3 m/s and 40 degrees/s.
             tick_ms: 100,
         }
     }

@@ -48,6 +48,10 @@ pub struct SafetyReport {
     pub in_charge: bool,
     /// A place in `odom` that could not be passed, metres. Each place is reported once.
     pub blocked_m: Option<[f64; 2]>,
+    /// A place in `odom` before which the robot stands because the scanner does not see it, metres. It is reported again while
+    /// plans lead there.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub unseen_m: Option<[f64; 2]>,
     /// Changes of state since the previous tick, in order.
     pub events: Vec<SafetyEvent>,
     /// Every command that left the safety loop since the previous tick, in order.
@@ -66,6 +70,7 @@ impl SafetyReport {
     pub fn clear(&mut self) {
         self.in_charge = false;
         self.blocked_m = None;
+        self.unseen_m = None;
         self.events.clear();
         self.sent.clear();
         self.sent_dropped = 0;

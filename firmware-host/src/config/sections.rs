@@ -106,7 +106,7 @@ hal::settings! {
         /// Distance of one forward action.
         forward_step_m: f64 = RobotDescription::default().forward_step_m, in 0.005..=0.5, unit "m", source "paper";
         /// Angle of one rotation action.
-        turn_step_deg: f64 = RobotDescription::default().turn_step_deg, in 0.1..=30.0, unit "degrees", source "paper";
+        turn_step_deg: f64 = RobotDescription::default().turn_step_deg, in 0.1..=30.0, unit "degrees", source "twice the paper's";
         /// Duration of one action, which is the period of the exploration plane.
         tick_ms: u64 = RobotDescription::default().tick_ms, in 5..=1000, unit "ms";
     }

@@ -70,9 +70,6 @@ const RANDOM_FAULTS_S: f64 = 600.0;
 /// A configuration, model or folder that cannot be used. An absent device is no error: its driver waits for it.
 pub fn run(args: &RunArgs) -> Result<()> {
     let mut config = Config::load(&args.config)?;
-    // Wheels with inertia lose most of their time by stopping for every small rotation. The recorded configuration
-    // contains this setting.
-    config.planning.arcs = true;
     keep_out::close(args.keep_out.as_deref(), args.policy.into(), &mut config)?;
     config.check_devices(&args.config)?;
     check::require(&config, &args.config)?;

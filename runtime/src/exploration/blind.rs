@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::planning::Primitive;
 
-/// Rotation steps to the right of `forward` after a collision: 5 steps of 2 degrees (released code
-/// of the paper, `ForwardAgent`).
+/// Rotation steps to the right of `forward` after a collision (released code of the paper,
+/// `ForwardAgent`, whose steps have 2 degrees).
 const FORWARD_ROTATIONS: usize = 5;
 /// Steps in each half of one of `heuristic`'s three moves (released code of the paper,
 /// `HeuristicRandomAgent`).
@@ -26,7 +26,7 @@ pub enum BlindPolicy {
         /// Remaining steps of the current move.
         queue: VecDeque<Primitive>,
     },
-    /// Forward; after a collision it rotates 10 degrees to the right.
+    /// Forward; after a collision it rotates 5 steps to the right.
     Forward {
         /// Number of rotation steps that are left.
         rotations_left: usize,

@@ -14,9 +14,9 @@ use hal::{Pose2, wrap_angle};
 const FRONTIER_BONUS: f64 = 0.5;
 /// Frontier length beyond this does not count, metres.
 const LONGEST_FRONTIER_M: f64 = 4.0;
-/// A rotation by one radian costs as much as this many metres of path: at 0.3 m/s and 20 degrees/s
+/// A rotation by one radian costs as much as this many metres of path: at 0.3 m/s and 40 degrees/s
 /// it takes as long.
-const ROTATION_COST_M: f64 = 0.86;
+const ROTATION_COST_M: f64 = 0.43;
 
 /// A place that the robot might choose as its goal.
 #[derive(Debug, Clone, Copy, PartialEq)]

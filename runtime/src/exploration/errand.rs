@@ -18,7 +18,7 @@ const ATTEMPTS: u32 = 3;
 const WAIT_NS: u64 = 10_000_000_000;
 /// The robot stands at the place within this distance.
 const REACHED_M: f64 = 0.08;
-/// The robot faces as it should within this angle. One rotation action has 2 degrees by default.
+/// The robot faces as it should within this angle: more than half of a rotation action, which has 4 degrees by default.
 const FACING_RAD: f64 = 0.05;
 
 /// What the robot is doing about its errand.

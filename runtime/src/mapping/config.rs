@@ -89,6 +89,8 @@ hal::settings! {
         collision_log_odds: f32 = 1000.0, in 0.001..=1000000.0, unit "log-odds", source "paper's code";
         /// Updates after which a collision is forgotten, because the obstacle may have been moved.
         collision_updates: u64 = 2000, in 1..=1000000000, unit "updates";
+        /// Updates after which the planner tries a place again before which the robot stood because the scanner did not see it.
+        unseen_updates: u64 = 300, in 1..=1000000000, unit "updates", source "half a minute: time to go round";
     }
 }
 

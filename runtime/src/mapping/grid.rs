@@ -217,18 +217,36 @@ impl OccupancyGrid {
     /// # Errors
     /// If the pose or the distance is not finite or out of reach.
     pub fn mark_collision(&mut self, t_odom_base: &Pose2, ahead_m: f64) -> Result<(), MapError> {
+        self.mark_across(t_odom_base, ahead_m, self.config.collision_updates)
+    }
+
+    /// Marks an obstacle of the same size at a place that the scanner does not see, for `unseen_updates`: the robot may see it
+    /// from elsewhere. A mark of a collision at the same place stays for longer.
+    ///
+    /// # Errors
+    /// If the pose or the distance is not finite or out of reach.
+    pub fn mark_unseen(&mut self, t_odom_base: &Pose2, ahead_m: f64) -> Result<(), MapError> {
+        self.mark_across(t_odom_base, ahead_m, self.config.unseen_updates)
+    }
+
+    fn mark_across(
+        &mut self,
+        t_odom_base: &Pose2,
+        ahead_m: f64,
+        updates: u64,
+    ) -> Result<(), MapError> {
         let middle = t_odom_base.compose(&Pose2::new(ahead_m, 0.0, 0.0));
         check_pose2("t_odom_base and ahead_m", &middle)?;
         let half_m = self.config.collision_width_m / 2.0;
         let steps =
             (self.config.collision_width_m / self.config.cell_m * 2.0).ceil().max(1.0) as i32;
-        let expires = self.updates + self.config.collision_updates;
+        let expires = self.updates + updates;
         for step in 0..=steps {
             let across_m = half_m * (2.0 * f64::from(step) / f64::from(steps) - 1.0);
             let (x_m, y_m) = middle.transform(0.0, across_m);
             let cell = self.cell_at(x_m, y_m);
             match self.collisions.iter_mut().find(|collision| collision.cell == cell) {
-                Some(known) => known.expires = expires,
+                Some(known) => known.expires = known.expires.max(expires),
                 None => self.collisions.push(Collision { cell, expires }),
             }
         }

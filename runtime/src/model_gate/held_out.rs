@@ -2,12 +2,13 @@
 //! them.
 //!
 //! Consecutive frames are nearly the same, so whole places are held out instead of single frames:
-//! bins of 1 m x 1 m and 45 degrees of heading, in the odometry of the run. A hash of the bin's
-//! indices decides. The hash uses integer arithmetic and the indices take three IEEE operations, so
-//! `tools/trainer` (`held_out.py`) makes the same decision for every frame.
+//! bins of 1 m x 1 m and 45 degrees of heading, in the frame `map` at the exposure. A hash of the
+//! bin's indices decides. The hash uses integer arithmetic and the indices take three IEEE operations,
+//! so `tools/trainer` (`held_out.py`) makes the same decision for every frame.
 //!
-//! Limits: the odometry of another run has another origin, so a place that is held out in one run
-//! may be trained on in another run. Frames on both sides of a bin's edge look alike.
+//! Limits: `map` has another origin in each run that does not begin with a saved map, so a place that
+//! is held out in one run may be trained on in another run. Frames on both sides of a bin's edge look
+//! alike.
 
 use std::f64::consts::TAU;
 
@@ -45,8 +46,7 @@ impl Default for HeldOutRule {
 }
 
 impl HeldOutRule {
-    /// The bin of the robot's pose (`base_link` in `odom`, as recorded); `None` for a pose that is
-    /// not finite.
+    /// The bin of the robot's pose (`base_link` in `map`); `None` for a pose that is not finite.
     #[must_use]
     pub fn bin(&self, odom: &Pose2) -> Option<PoseBin> {
         let x = (odom.x_m / self.cell_m).floor() as i64;

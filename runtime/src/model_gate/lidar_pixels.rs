@@ -6,8 +6,8 @@ use nalgebra::Point3;
 
 use crate::tick::TickInput;
 
-/// Largest time difference between a scan and a frame. At 20 degrees per second the robot rotates 1
-/// degree meanwhile, which moves returns to other columns.
+/// Largest time difference between a scan and a frame. At 40 degrees per second the robot rotates 2
+/// degrees meanwhile, which moves returns to other columns.
 const MAX_TIME_DIFFERENCE_NS: u64 = 50_000_000;
 /// Depths within this factor of the LiDAR's depth are right (Eigen et al. 2014).
 const DELTA1: f32 = 1.25;

@@ -49,9 +49,9 @@ hal::settings! {
         aligned_deg: f64 = 2.0, in 0.1..=57.0, unit "degrees";
         /// While driving, smaller heading errors are not corrected.
         correct_deg: f64 = 4.0, in 0.1..=57.0, unit "degrees";
-        /// Whether the robot corrects its heading on an arc instead of stopping to rotate in place. `firmware-host run`
-        /// always does, because wheels with inertia lose most of their time by stopping.
-        arcs: bool = false;
+        /// Whether the robot corrects its heading on an arc. If not, it stops and rotates in place for every correction, as in
+        /// the paper, and wheels with inertia lose most of their time by stopping.
+        arcs: bool = true;
         /// The end of a path is reached within this distance.
         goal_tolerance_m: f64 = 0.06, in 0.01..=1.0, unit "m";
         /// Further from the path than this, the robot plans a new one.

@@ -6,15 +6,15 @@ use serde::{Deserialize, Serialize};
 use super::config::{ConfigError, FollowerConfig};
 use crate::snapshot::remembers;
 
-/// One step of motion, as in the paper.
+/// One step of motion. The paper has the steps forward and the rotations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Primitive {
     /// A step forward, by default 0.03 m.
     Forward,
-    /// A step of rotating counter-clockwise, by default 2 degrees.
+    /// A step of rotating counter-clockwise, by default 4 degrees.
     TurnLeft,
-    /// A step of rotating clockwise, by default 2 degrees.
+    /// A step of rotating clockwise, by default 4 degrees.
     TurnRight,
     /// Half a step forward while rotating counter-clockwise: corrects the heading without a stop.
     ArcLeft,

@@ -100,6 +100,10 @@ fn hash_safety(hasher: &mut Hasher, safety: &SafetyReport) {
     for value in safety.blocked_m.into_iter().flatten() {
         hasher.update(&value.to_bits().to_le_bytes());
     }
+    // Recordings from before places could be unseen keep their digests.
+    for value in safety.unseen_m.into_iter().flatten() {
+        hasher.update(b"unseen").update(&value.to_bits().to_le_bytes());
+    }
     hasher.update(&(safety.events.len() as u64).to_le_bytes());
     for event in &safety.events {
         // The text as it is recorded. Its numbers are exact.

@@ -102,6 +102,7 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
         safety: SafetyReport {
             in_charge: tick.is_multiple_of(3),
             blocked_m: Some([0.1 + 0.2, -1e-17]),
+            unseen_m: tick.is_multiple_of(2).then_some([0.1 + 0.7, -2e-17]),
             events: vec![
                 SafetyEvent::Armed,
                 SafetyEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::RearUnknown },

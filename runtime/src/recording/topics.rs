@@ -108,7 +108,7 @@ const TICK: &str = r#"{"title":"robot.Tick","type":"object","properties":{
 "range_max_m":{"type":"number"},"period_ns":{"type":"integer"}}},
 "frame":{"type":"boolean"},"truth":{"type":"boolean"},"decision":{"type":"boolean"},"snapshot":{"type":"boolean"},
 "safety":{"type":"object","properties":{"in_charge":{"type":"boolean"},
-"blocked_m":{"type":"array","items":{"type":"number"}},"events":{"type":"array","items":{}},
+"blocked_m":{"type":"array","items":{"type":"number"}},"unseen_m":{"type":"array","items":{"type":"number"}},"events":{"type":"array","items":{}},
 "sent":{"type":"array","items":{"type":"object","properties":{"time_ns":{"type":"integer"},"counter":{"type":"integer"},
 "linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}}},"sent_dropped":{"type":"integer"}}},
 "scan_odom":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_rad":{"type":"number"}}}}}"#;

@@ -14,6 +14,8 @@ use crate::snapshot::remembers;
 const STANDS_NS: u64 = 1_000_000_000;
 /// Then it rotates this far. What it has not recognized in two rotations it will not recognize in a third.
 const ROTATES_RAD: f64 = 2.0 * TAU;
+/// It rotates at most at 20 degrees per second, at which the search for its place was measured (docs/localization.md), rad/s.
+const YAW_RATE_RADPS: f64 = 0.35;
 
 /// The motion of a lost robot.
 #[derive(Debug, Clone, Default)]
@@ -38,7 +40,7 @@ impl LostMotion {
         self.search = None;
     }
 
-    /// The desired motion of a robot that is lost, rotating at `yaw_rate_radps` to the left. It stands for good when it has
+    /// The desired motion of a robot that is lost, rotating to the left at `yaw_rate_radps` at most. It stands for good when it has
     /// rotated far enough; scans are searched for all the same, for example while a person moves it.
     pub(super) fn desired(
         &mut self,
@@ -64,7 +66,7 @@ impl LostMotion {
             events.push(Event::StandsLost);
             return Twist2::ZERO;
         }
-        Twist2 { linear_mps: 0.0, angular_radps: yaw_rate_radps }
+        Twist2 { linear_mps: 0.0, angular_radps: yaw_rate_radps.min(YAW_RATE_RADPS) }
     }
 }
 
@@ -92,6 +94,7 @@ impl Robot {
         self.coarse.forget();
         self.frame_maps.clear();
         self.collision_at = None;
+        self.unseen_at = None;
         self.bumped = false;
         self.last_time_ns = None;
     }

@@ -31,7 +31,7 @@ use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
 use crate::recording::input_digest;
 use crate::safety::SentCommand;
 use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
-use crate::tick::{Decision, TickInput};
+use crate::tick::{Decision, SafetyReport, TickInput};
 use camera_time::CameraTime;
 use location::Location;
 use lost::LostMotion;
@@ -189,6 +189,7 @@ pub struct Robot {
     explorer: Explorer,
     bumped: bool,
     collision_at: Option<[f64; 2]>,
+    unseen_at: Option<[f64; 2]>,
     last_time_ns: Option<u64>,
     /// Ticks since the last frame.
     ticks_without_frame: u64,
@@ -245,6 +246,7 @@ impl Robot {
             )?,
             bumped: false,
             collision_at: None,
+            unseen_at: None,
             last_time_ns: None,
             ticks_without_frame: 0,
             new_network: None,
@@ -606,10 +608,12 @@ impl Robot {
         if let Some(scan) = scan {
             let _ = self.map.integrate_scan(scan, &t_map_laser);
         }
-        if let Some([x_m, y_m]) = self.collision_at.take() {
-            let yaw_rad = (y_m - t_map_base.y_m).atan2(x_m - t_map_base.x_m);
-            let facing = Pose2 { yaw_rad, ..t_map_base };
-            let ahead_m = (x_m - t_map_base.x_m).hypot(y_m - t_map_base.y_m);
+        if let Some(place_m) = self.unseen_at.take() {
+            let (facing, ahead_m) = facing(&t_map_base, place_m);
+            let _ = self.map.mark_unseen(&facing, ahead_m);
+        }
+        if let Some(place_m) = self.collision_at.take() {
+            let (facing, ahead_m) = facing(&t_map_base, place_m);
             let _ = self.map.mark_collision(&facing, ahead_m);
         }
         let _ = self.map.mark_standing(&t_map_base, self.config.footprint_radius_m);
@@ -689,7 +693,7 @@ impl Robot {
             events.push(Event::MapCorrected { shift_m: moved.shift_m(&before) });
             let map = &self.map;
             self.explorer.move_places(|place_m| moved.place(map, place_m));
-            if let Some(place_m) = &mut self.collision_at {
+            for place_m in [&mut self.collision_at, &mut self.unseen_at].into_iter().flatten() {
                 *place_m = moved.place(map, *place_m);
             }
             self.frame_maps.clear();
@@ -708,13 +712,15 @@ impl Robot {
 
     /// The safety plane reports places in the frame of wheel odometry.
     fn note_blocked(&mut self, input: &TickInput<'_>) {
-        if let Some([x_m, y_m]) = input.safety.blocked_m
-            && self.whereabouts.lost().is_none()
-        {
-            let t_map_wheels = self.poses.t_map_base().compose(&input.wheel.odom.inverse());
-            self.collision_at = Some(t_map_wheels.transform(x_m, y_m).into());
-            self.bumped = true;
+        let SafetyReport { blocked_m, unseen_m, .. } = input.safety;
+        if (blocked_m.is_none() && unseen_m.is_none()) || self.whereabouts.lost().is_some() {
+            return;
         }
+        let t_map_wheels = self.poses.t_map_base().compose(&input.wheel.odom.inverse());
+        let in_map = |[x_m, y_m]: [f64; 2]| t_map_wheels.transform(x_m, y_m).into();
+        self.collision_at = blocked_m.map(in_map).or(self.collision_at);
+        self.unseen_at = unseen_m.map(in_map).or(self.unseen_at);
+        self.bumped = true;
     }
 
     /// The poses of the last tick.
@@ -763,8 +769,15 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, shadow, frame_maps, explorer, bumped, collision_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, shadow, frame_maps, explorer, bumped, collision_at, unseen_at, last_time_ns, ticks_without_frame, new_network
 );
+
+/// The pose at the robot's place that faces `place_m`, and the distance to it, metres.
+fn facing(t_map_base: &Pose2, [x_m, y_m]: [f64; 2]) -> (Pose2, f64) {
+    let yaw_rad = (y_m - t_map_base.y_m).atan2(x_m - t_map_base.x_m);
+    let ahead_m = (x_m - t_map_base.x_m).hypot(y_m - t_map_base.y_m);
+    (Pose2 { yaw_rad, ..*t_map_base }, ahead_m)
+}
 
 /// Keeps the newest map and those of the `gap` frames before it.
 fn remember_frame_map(

@@ -496,7 +496,7 @@ impl SafetyPlane {
 
     /// Records whether the scanner sees the path of a forward twist. The robot stands if the
     /// scanner has not seen it for too long; rotations stay possible, so that the robot can face
-    /// another direction. The place ahead is reported as blocked, again and again while plans lead
+    /// another direction. The place ahead is reported as unseen, again and again while plans lead
     /// ahead, so that the planner takes another path.
     fn stand_if_blind(
         &mut self,
@@ -524,8 +524,8 @@ impl SafetyPlane {
         }
         self.blind_since_ns = Some(time_ns);
         let ahead_m = self.footprint.front_edge_m() + self.config.stop_distance_m;
-        let blocked_m = Some(odom.transform(ahead_m, 0.0).into());
-        let output = SafetyOutput { blocked_m, ..output };
+        let unseen_m = Some(odom.transform(ahead_m, 0.0).into());
+        let output = SafetyOutput { unseen_m, ..output };
         Some(if is_news { output.because(SafetyEvent::ViewLost) } else { output })
     }
 

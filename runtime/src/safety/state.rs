@@ -130,6 +130,8 @@ pub struct SafetyOutput {
     /// A point in `odom`, metres, that the planner has to treat as blocked. Set once, when the
     /// back-off has ended.
     pub blocked_m: Option<[f64; 2]>,
+    /// A point in `odom`, metres, before which the robot stands because the scanner does not see it.
+    pub unseen_m: Option<[f64; 2]>,
     /// The plan has no effect in this tick.
     pub in_charge: bool,
     /// Why no motion is allowed in this tick, whatever the state is.
@@ -137,8 +139,14 @@ pub struct SafetyOutput {
 }
 
 impl SafetyOutput {
-    pub(super) const STOP: Self =
-        Self { command: None, event: None, blocked_m: None, in_charge: true, forbidden: None };
+    pub(super) const STOP: Self = Self {
+        command: None,
+        event: None,
+        blocked_m: None,
+        unseen_m: None,
+        in_charge: true,
+        forbidden: None,
+    };
 
     pub(super) fn drive(command: Twist2) -> Self {
         Self { command: Some(command), ..Self::STOP }

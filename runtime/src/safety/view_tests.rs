@@ -27,9 +27,9 @@ fn a_front_that_is_not_seen_slows_the_robot_at_once_and_stops_it_within_ten_cent
         let lost = outputs.iter().filter(|output| output.event == Some(SafetyEvent::ViewLost));
         assert_eq!(lost.count(), 1, "{half_deg} {instead:?}");
         // The place is reported after 0.3 s and then once a second while the plan leads ahead, and it lies ahead.
-        let blocked: Vec<_> = outputs.iter().filter_map(|output| output.blocked_m).collect();
-        assert_eq!(blocked.len(), 5, "{half_deg} {instead:?}");
-        assert!(blocked[0][0] > room.pose.x_m + 0.1, "{blocked:?} at {:?}", room.pose);
+        let unseen: Vec<_> = outputs.iter().filter_map(|output| output.unseen_m).collect();
+        assert_eq!(unseen.len(), 5, "{half_deg} {instead:?}");
+        assert!(unseen[0][0] > room.pose.x_m + 0.1, "{unseen:?} at {:?}", room.pose);
         let gone_m = room.pose.distance_m(&from);
         assert!(gone_m < 0.1, "{half_deg} {instead:?}: {gone_m} m");
         assert_eq!(room.tick(FORWARD).event, Some(SafetyEvent::Cleared));
@@ -48,7 +48,7 @@ fn a_plan_that_leads_ahead_again_after_a_rotation_is_answered_again_with_the_pla
         for _ in 0..400 {
             let output = tick_with_front(&mut room, 90.0, Range::NoReturn);
             events += usize::from(output.event == Some(SafetyEvent::ViewLost));
-            if let Some(place) = output.blocked_m {
+            if let Some(place) = output.unseen_m {
                 reports.push(place);
                 break;
             }

@@ -27,6 +27,7 @@ const SENT: usize = 2048;
 struct Change {
     event: Option<SafetyEvent>,
     blocked_m: Option<[f64; 2]>,
+    unseen_m: Option<[f64; 2]>,
 }
 
 /// The safety loop with its ends of the queues to exploration.
@@ -93,8 +94,12 @@ impl<B: Base, L: Lidar> SafetyTask<B, L> {
             let _ = self.wheels.push(wheel);
         }
         let SafetyStep { output, sent, .. } = step;
-        if output.event.is_some() || output.blocked_m.is_some() {
-            let _ = self.changes.push(Change { event: output.event, blocked_m: output.blocked_m });
+        if output.event.is_some() || output.blocked_m.is_some() || output.unseen_m.is_some() {
+            let _ = self.changes.push(Change {
+                event: output.event,
+                blocked_m: output.blocked_m,
+                unseen_m: output.unseen_m,
+            });
         }
         if self.sent.push(sent).is_err() {
             self.sent_dropped.fetch_add(1, Ordering::Relaxed);
@@ -124,9 +129,10 @@ impl SafetyPort {
         }
         self.scans.update();
         report.clear();
-        while let Ok(Change { event, blocked_m }) = self.changes.pop() {
+        while let Ok(Change { event, blocked_m, unseen_m }) = self.changes.pop() {
             report.events.extend(event);
             report.blocked_m = blocked_m.or(report.blocked_m);
+            report.unseen_m = unseen_m.or(report.unseen_m);
         }
         while let Ok(sent) = self.sent.pop() {
             report.sent.push(sent);
