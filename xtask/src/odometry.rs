@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use serde_json::Value;
 
 use crate::demo;
-use crate::explore;
+use crate::explore::{self, Exploration};
 use crate::paths;
 use crate::tables::{self, Table};
 
@@ -42,36 +42,40 @@ pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<(
     let dir = paths::target().join(format!("odometry/{frames}"));
     let wheels = wheels_alone(&dir)?;
     let network = paths::root().join(demo::MODEL).display().to_string();
-    let mut table = Table::new(&COLUMNS);
-    let mut summaries: [Vec<Value>; ROWS.len()] = Default::default();
+    let length =
+        |seed: u64| ["--frames".into(), frames.to_string(), "--seed".into(), seed.to_string()];
+    let mut labels = Vec::new();
+    let mut explorations = Vec::new();
     for seed in 1..=seeds {
         let builtin = HOMES.map(|home| (home.to_owned(), format!("builtin:{home}?seed={seed}")));
         let files = scenes.iter().map(|file| (name(file), file.clone()));
         for (home, scene) in builtin.into_iter().chain(files) {
-            for ((row, folder), summaries) in ROWS.into_iter().zip(&mut summaries) {
+            for (row, folder) in ROWS {
+                let mut arguments =
+                    ["--scene", &scene, "--policy", "active"].map(String::from).to_vec();
+                arguments.extend(length(seed));
+                arguments.extend(match folder {
+                    "network" => vec!["--model".to_owned(), network.clone()],
+                    "wheels" => vec!["--config".to_owned(), wheels.clone()],
+                    "perfect" => vec!["--odometry".to_owned(), "perfect".to_owned()],
+                    _ => Vec::new(),
+                });
+                labels.push([home.clone(), seed.to_string(), row.to_owned()]);
                 let out = dir.join(format!("{home}-{seed}-{folder}"));
-                let length = [frames, seed].map(|number| number.to_string());
-                let mut arguments = vec!["--scene", &scene, "--policy", "active"];
-                arguments.extend(["--frames", &length[0], "--seed", &length[1]]);
-                match folder {
-                    "network" => arguments.extend(["--model", &network]),
-                    "wheels" => arguments.extend(["--config", &wheels]),
-                    "perfect" => arguments.extend(["--odometry", "perfect"]),
-                    _ => {}
-                }
-                let summary = explore::explore(&arguments, &out)?;
-                let mut cells = vec![home.clone(), seed.to_string(), row.to_owned()];
-                cells.extend(results(&summary));
-                table.push(cells);
-                summaries.push(summary);
-                eprintln!("explored {home} {seed}: {row}");
+                explorations.push(Exploration { arguments, out });
             }
         }
     }
-    for ((row, _), of) in ROWS.into_iter().zip(&summaries) {
-        let mut cells = vec!["mean".to_owned(), String::new(), row.to_owned()];
-        cells.extend(results(&mean(of)));
-        table.push(cells);
+    let summaries = explore::all(&explorations)?;
+    let mut table = Table::new(&COLUMNS);
+    for (label, summary) in labels.iter().zip(&summaries) {
+        table.push(label.iter().cloned().chain(results(summary)).collect());
+    }
+    for (row, _) in ROWS {
+        let of_row = labels.iter().zip(&summaries).filter(|(label, _)| label[2] == row);
+        let of_row: Vec<&Value> = of_row.map(|(_, summary)| summary).collect();
+        let label = ["mean", "", row].map(str::to_owned);
+        table.push(label.into_iter().chain(results(&mean(&of_row))).collect());
     }
     print!("{}", table.markdown());
     if update {
@@ -125,9 +129,9 @@ fn results(summary: &Value) -> [String; 8] {
 }
 
 /// Every number of the summaries in the mean; collisions are added up.
-fn mean(summaries: &[Value]) -> Value {
+fn mean(summaries: &[&Value]) -> Value {
     let Some(first) = summaries.first() else { return Value::Null };
-    let mut mean = merged(first, &summaries.iter().collect::<Vec<_>>());
+    let mut mean = merged(first, summaries);
     let collisions = summaries.iter().filter_map(|summary| summary["collisions"].as_f64());
     mean["collisions"] = collisions.sum::<f64>().into();
     mean
@@ -163,6 +167,6 @@ mod tests {
             json!({ "map": { "p50": 2.0 }, "collisions": 1, "policy": "active" }),
         ];
         let expected = json!({ "map": { "p50": 1.5 }, "collisions": 3.0, "policy": "active" });
-        assert_eq!(mean(&runs), expected);
+        assert_eq!(mean(&runs.iter().collect::<Vec<_>>()), expected);
     }
 }

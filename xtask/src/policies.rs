@@ -4,8 +4,9 @@ use anyhow::Result;
 use serde_json::Value;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
+use crate::explore::{self, Exploration};
+use crate::paths;
 use crate::tables::{self, Table};
-use crate::{explore, paths};
 
 const HOMES: [&str; 3] = ["apartment", "house", "office"];
 const POLICIES: [&str; 6] =
@@ -27,23 +28,27 @@ const MEANS: [&str; 4] = ["policy", "coverage", "at its true place", "collisions
 /// the tables go into docs/data/policies.json and docs/policies.md.
 pub fn run(frames: u64, seeds: u64, update: bool) -> Result<()> {
     explore::build()?;
-    let mut table = Table::new(&COLUMNS);
-    let mut summaries: [Vec<Value>; POLICIES.len()] = Default::default();
+    let mut labels = Vec::new();
+    let mut explorations = Vec::new();
     for home in HOMES {
         for seed in 1..=seeds {
-            for (policy, of_policy) in POLICIES.into_iter().zip(&mut summaries) {
-                let out = paths::target().join(format!("policies/{frames}/{home}-{seed}-{policy}"));
-                let scene = format!("builtin:{home}?seed={seed}");
+            let scene = format!("builtin:{home}?seed={seed}");
+            let length = [frames, seed].map(|number| number.to_string());
+            for policy in POLICIES {
                 let arguments = ["--scene", &scene, "--policy", policy];
-                let length = ["--frames", &frames.to_string(), "--seed", &seed.to_string()];
-                let summary = explore::explore(&[arguments, length].concat(), &out)?;
-                let mut cells = vec![home.to_owned(), seed.to_string(), policy.to_owned()];
-                cells.extend(results(&summary));
-                table.push(cells);
-                of_policy.push(summary);
-                eprintln!("explored {home} {seed} with {policy}");
+                let length = ["--frames", &length[0], "--seed", &length[1]];
+                let arguments =
+                    [arguments, length].concat().into_iter().map(String::from).collect();
+                let out = paths::target().join(format!("policies/{frames}/{home}-{seed}-{policy}"));
+                labels.push([home.to_owned(), seed.to_string(), policy.to_owned()]);
+                explorations.push(Exploration { arguments, out });
             }
         }
+    }
+    let summaries = explore::all(&explorations)?;
+    let mut table = Table::new(&COLUMNS);
+    for (label, summary) in labels.iter().zip(&summaries) {
+        table.push(label.iter().cloned().chain(results(summary)).collect());
     }
     let means = means(&summaries);
     print!("{}{}", table.markdown(), means.markdown());
@@ -56,9 +61,11 @@ pub fn run(frames: u64, seeds: u64, update: bool) -> Result<()> {
 }
 
 /// A row for each policy: means over its runs.
-fn means(summaries: &[Vec<Value>; POLICIES.len()]) -> Table {
+fn means(summaries: &[Value]) -> Table {
     let mut table = Table::new(&MEANS);
-    for (policy, summaries) in POLICIES.into_iter().zip(summaries) {
+    for (at, policy) in POLICIES.into_iter().enumerate() {
+        // Every home and seed has one run of each policy, in this order.
+        let summaries: Vec<&Value> = summaries.iter().skip(at).step_by(POLICIES.len()).collect();
         let all = |key: &str| -> Vec<f64> {
             summaries.iter().map(|summary| summary[key].as_f64().unwrap_or(f64::NAN)).collect()
         };

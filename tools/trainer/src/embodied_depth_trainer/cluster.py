@@ -71,7 +71,7 @@ def _ray() -> Any:  # noqa: ANN401
     try:
         import ray
     except ImportError:
-        raise TrainerError("--on ray needs Ray; run `pip install 'embodied-depth-trainer[ray]'`") from None
+        raise TrainerError("--on ray needs Ray; run `pip install -e 'tools/trainer[ray]'` in the checkout") from None
     return ray
 
 

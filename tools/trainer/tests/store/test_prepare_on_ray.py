@@ -105,7 +105,7 @@ def test_without_ray_the_package_to_install_is_named(
     monkeypatch.setitem(sys.modules, "ray", None)
     words = ["prepare", str(run), "--out", str(tmp_path / "store"), "--coarse", "none", "--on", "ray"]
     assert main(words) == 1
-    assert "--on ray needs Ray; run `pip install 'embodied-depth-trainer[ray]'`" in capsys.readouterr().err
+    assert "--on ray needs Ray; run `pip install -e 'tools/trainer[ray]'` in the checkout" in capsys.readouterr().err
 
 
 def test_workers_of_this_computer_and_a_cluster_exclude_each_other(

@@ -1,7 +1,7 @@
 """Decides which frames are held out: they are never trained on, so that the robot can evaluate a model on them.
 
 The rule is bit-identical to the robot's (`runtime/src/model_gate/held_out.rs`): pose bins of 1 m x 1 m and 45 degrees
-of heading in the odometry of their run, of which an integer hash holds out about a tenth.
+of heading in `map` at the exposure, of which an integer hash holds out about a tenth.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ALL_BITS = (1 << 64) - 1
 
 
 def pose_bin(x_m: float, y_m: float, yaw_rad: float) -> tuple[int, int, int]:
-    """Cell along x, cell along y, and sector of the heading of `base_link` in `odom`."""
+    """Cell along x, cell along y, and sector of the heading of `base_link` in `map`."""
     sector = math.floor((yaw_rad / math.tau + 0.5) * SECTORS)
     return math.floor(x_m / CELL_M), math.floor(y_m / CELL_M), sector % SECTORS
 
