@@ -1,5 +1,6 @@
 //! The command line.
 
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
@@ -131,10 +132,10 @@ pub struct ExploreArgs {
     #[arg(long, value_enum)]
     pub odometry: Option<Odometry>,
     /// Number of camera frames to explore for. The robot takes one step per frame.
-    #[arg(long, value_name = "N", default_value_t = 3000, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 3000, allow_negative_numbers = true, value_parser = whole_number(1..=10_000_000))]
     pub frames: u64,
     /// Seed of all random choices: start pose, policy, noise.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true, value_parser = whole_number(0..=u64::MAX))]
     pub seed: u64,
     /// Output folder for the summary, images and recording. It is created if it is missing, and must
     /// not contain another run.
@@ -166,7 +167,7 @@ pub struct ExploreArgs {
     #[arg(long)]
     pub no_recording: bool,
     /// Also write the coarse depth of every frame into this folder, for training. The folder is
-    /// created if it is missing.
+    /// created if it is missing, and must not contain dump.json of another run.
     #[arg(long, value_name = "DIR")]
     pub dump: Option<PathBuf>,
     /// Show neither the progress nor, on a terminal, what the robot does and why. Warnings and the summary remain.
@@ -213,10 +214,10 @@ pub struct HandOverArgs {
     #[arg(long = "hand-over", value_name = "DIR", requires_all = ["first", "every"], conflicts_with_all = ["model", "no_recording"])]
     pub dir: Option<PathBuf>,
     /// Number of frames before the first network.
-    #[arg(long, value_name = "N", requires = "dir", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", requires = "dir", allow_negative_numbers = true, value_parser = whole_number(1..=u64::MAX))]
     pub first: Option<u64>,
     /// Number of frames between two networks.
-    #[arg(long, value_name = "N", requires = "dir", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", requires = "dir", allow_negative_numbers = true, value_parser = whole_number(1..=u64::MAX))]
     pub every: Option<u64>,
 }
 
@@ -273,10 +274,10 @@ pub struct RunArgs {
     #[arg(long, value_name = "DIR")]
     pub model_store: Option<PathBuf>,
     /// Stop after this number of camera frames [default: run until SIGTERM or Ctrl-C].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole_number(1..=u64::MAX))]
     pub frames: Option<u64>,
     /// Seed of all random decisions of the robot.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true, value_parser = whole_number(0..=u64::MAX))]
     pub seed: u64,
     /// Status file that `health` reads [default: run.status_file of the configuration].
     #[arg(long, value_name = "FILE")]
@@ -353,11 +354,12 @@ pub struct PerceiveArgs {
     /// Depth network (ONNX file) to evaluate beside coarse depth.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Output folder for the summary and images. It is created if it is missing.
+    /// Output folder for the summary and images. It is created if it is missing, and must not contain
+    /// another run.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Also write the coarse depth of every frame into this folder, for training. The folder is
-    /// created if it is missing.
+    /// created if it is missing, and must not contain dump.json of another run.
     #[arg(long, value_name = "DIR")]
     pub dump: Option<PathBuf>,
     /// Configuration file. `firmware-host check` prints all keys with their defaults.
@@ -393,7 +395,7 @@ pub struct LocalizeArgs {
     #[arg(long, value_name = "FILE")]
     pub log: PathBuf,
     /// Output folder for trajectory.tum, online.tum, map.png and summary.json. It is created if it is
-    /// missing.
+    /// missing. An earlier result of this command is replaced.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
 }
@@ -423,7 +425,7 @@ pub enum MapTask {
         /// Map file, or a recorded run.
         #[arg(value_name = "FILE|RUN")]
         from: PathBuf,
-        /// Output folder. It is created if it is missing.
+        /// Output folder. It is created if it is missing, and must not contain a run.
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
         #[command(flatten)]
@@ -473,7 +475,7 @@ pub struct ReproduceArgs {
     pub run: PathBuf,
     /// Moment to extract, as a tick (1200) or a time since the first tick (61.5s) [default: the last
     /// stop or fault].
-    #[arg(long, value_name = "TICK|SECONDS")]
+    #[arg(long, value_name = "TICK|SECONDS", allow_negative_numbers = true)]
     pub at: Option<Moment>,
     /// Seconds to extract before that moment, 0 to 3600.
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0, allow_negative_numbers = true, value_parser = parse_seconds)]
@@ -495,13 +497,13 @@ pub struct ViewsArgs {
     #[arg(long)]
     pub scene: String,
     /// Number of views, 1 to 100000.
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 200, allow_negative_numbers = true, value_parser = whole_number(1..=100_000))]
     pub count: u64,
     /// Seed of the random poses.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true, value_parser = whole_number(0..=u64::MAX))]
     pub seed: u64,
     /// Output folder for the views, in the same format as `perceive --dataset --dump`. It is created
-    /// if it is missing.
+    /// if it is missing, and must not contain dump.json of another run.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Configuration file. `firmware-host check` prints all keys with their defaults.
@@ -587,7 +589,7 @@ pub enum BufferTask {
         json: bool,
     },
     /// Check all checksums and signatures: which segments are whole, cut or corrupt, and who recorded them. Exits with 1 unless
-    /// all are whole.
+    /// all can be read and are whole.
     Verify {
         /// A directory of runs, the --out directory of one run, or one segment.
         path: PathBuf,
@@ -711,6 +713,19 @@ pub enum UpArg {
     Z,
 }
 
+/// A parser of whole numbers whose error names the range.
+pub(crate) fn whole_number(
+    range: RangeInclusive<u64>,
+) -> impl Fn(&str) -> Result<u64, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| match (range.start(), range.end()) {
+            (least, &u64::MAX) => format!("it is not a whole number, {least} or more"),
+            (least, most) => format!("it is not a whole number from {least} to {most}"),
+        })
+    }
+}
+
 fn parse_seconds(text: &str) -> Result<f64, String> {
     let seconds = text.parse::<f64>().ok().filter(|seconds| (0.0..=3600.0).contains(seconds));
     seconds.ok_or_else(|| format!("`{text}` is not a number of seconds from 0 to 3600"))
@@ -751,18 +766,36 @@ mod tests {
 
     #[test]
     fn a_number_below_zero_is_refused_by_its_own_name_and_not_taken_for_an_option() {
-        for line in
-            ["explore --scene s --out o --frames -1", "explore --scene s --out o --scene-scale -2"]
-        {
+        let above_0 = "is not a number above 0";
+        let any = "whole number, 0 or more";
+        let one = "whole number, 1 or more";
+        for (line, range) in [
+            ("explore --scene s --out o --frames -1", "whole number from 1 to 10000000"),
+            ("explore --scene s --out o --scene-scale -2", above_0),
+            ("explore --scene s --out o --seed -1", any),
+            ("explore --scene s --out o --fault random --fault-seed -1", any),
+            ("explore --scene s --out o --hand-over d --every 1 --first -1", one),
+            ("explore --scene s --out o --hand-over d --first 1 --every 0", one),
+            ("run --config c --frames -3", one),
+            ("run --config c --seed -1", any),
+            ("views --scene s --out o --count -1", "whole number from 1 to 100000"),
+            ("views --scene s --out o --seed -1", any),
+            ("reproduce r --out o --at -1", "neither a tick such as 1200 nor a time"),
+            ("model install m --frames -5", "whole number from 1 to 100000"),
+        ] {
             let error = Cli::try_parse_from(["firmware-host"].into_iter().chain(line.split(' ')))
                 .unwrap_err()
                 .to_string();
-            assert!(error.contains("invalid value '-"), "{error}");
+            let value = line.rsplit(' ').next().unwrap_or_default();
+            assert!(error.contains(&format!("invalid value '{value}'")), "{line}: {error}");
+            assert!(error.contains(range), "{line}: {error}");
         }
         assert!(
             parse_scale("nan").is_err() && parse_scale("0").is_err() && parse_scale("inf").is_err()
         );
         assert_eq!(parse_scale("0.01"), Ok(0.01));
+        assert_eq!(whole_number(1..=5)("5"), Ok(5));
+        assert!(whole_number(1..=5)("6").is_err() && whole_number(0..=u64::MAX)("1.5").is_err());
     }
 
     #[test]

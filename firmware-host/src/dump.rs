@@ -9,7 +9,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use hal::{CameraModel, DepthMap, Pose3};
 use runtime::perception::DepthEstimate;
 use serde::Serialize;
@@ -82,12 +82,11 @@ struct Entry {
 
 impl Dump {
     pub fn create(dir: &Path, camera: &CameraModel) -> Result<Self> {
-        prepare_dir(dir)?;
-        // The index of an older dump must not list the new files.
-        match std::fs::remove_file(dir.join(INDEX)) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error.into()),
-            _ => {}
+        // Its index would be lost, and its files would be mixed with the new ones.
+        if dir.join(INDEX).exists() {
+            bail!("{} contains {INDEX} of another run; choose another folder", dir.display());
         }
+        prepare_dir(dir)?;
         let CameraModel { width, height, fx, fy, cx, cy, .. } = *camera;
         let index = Index { format_version: 1, width, height, fx, fy, cx, cy, frames: Vec::new() };
         Ok(Self { dir: dir.to_owned(), index })
@@ -190,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_contains_depth_images_and_an_index_that_is_written_last() {
+    fn a_folder_contains_depth_images_and_an_index_that_is_written_last_and_never_replaced() {
         let dir = tempfile::tempdir().unwrap();
         let camera = CameraModel::pinhole(2, 1, std::f64::consts::FRAC_PI_2);
         let truth = DepthMap::from_vec(2, 1, vec![0.0, 1.5]).unwrap();
@@ -220,5 +219,8 @@ mod tests {
         assert_eq!(index["frames"][0]["dense"], false);
         assert!(std::fs::read(dir.path().join("000000_rgb.npy")).unwrap().ends_with(&rgb));
         assert!(!dir.path().join("000000.npy").exists());
+        let again = Dump::create(dir.path(), &camera).err().unwrap().to_string();
+        assert!(again.ends_with("contains dump.json of another run; choose another folder"));
+        assert!(dir.path().join(INDEX).exists());
     }
 }

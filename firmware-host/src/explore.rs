@@ -29,8 +29,9 @@ use crate::live::{self, Live};
 use crate::map::KeptMap;
 use crate::model::{Keeper, LiveModels};
 use crate::record::{FaultyDisk, FileSystem, Recorder, RecorderOptions, refuse_old_recording};
+use crate::report::another_run::refuse_file;
 use crate::report::atomic::prepare_dir;
-use crate::report::summary::Summary;
+use crate::report::summary::{SUMMARY_FILE, Summary};
 use crate::setup::{self, Mission};
 use crate::simulation;
 use hand_over::HandOver;
@@ -74,6 +75,7 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     prepare_dir(&args.out)?;
     // This is checked without a recording, too: the summary of another run would be overwritten.
     refuse_old_recording(&args.out)?;
+    refuse_file(&args.out, SUMMARY_FILE)?;
     let plan = args.faults.plan(args.frames as f64 * config.base.tick_s());
     let loaded_map = map.as_ref().and_then(KeptMap::loaded).map(ToOwned::to_owned);
     let header = header(args, &config, &mission, model.as_deref(), &plan)?;
@@ -81,8 +83,6 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let (texts, fault_seed) = (plan.texts(), plan.seed());
     let clock = simulated.devices().clock;
     let faults = plan.at(std::sync::Arc::new(move || clock.now_ns()));
-    let recorder =
-        if args.no_recording { None } else { Some(recorder(args, &config, header, &faults)?) };
     let summary = Summary {
         seed: Some(args.seed),
         policy: Some(mission.policy.name().to_owned()),
@@ -104,8 +104,7 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
         .map(|socket| Live::start(&socket, &config, panel.clone(), can))
         .transpose()?
         .map(|live| Watched::new(live, panel.clone(), Some(args.out.display().to_string())));
-    let mut exploration =
-        Exploration::new(args, &config, &simulated, &faults, robot, recorder, &panel);
+    let mut exploration = Exploration::new(args, &config, &simulated, &faults, robot, &panel);
     exploration.log.watched = watched;
     exploration.log.dump = dump;
     exploration.close_areas(map.as_ref())?;
@@ -124,6 +123,10 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     }
     if let Some([x_m, y_m]) = args.go_to {
         exploration.give(Task::GoTo { x_m, y_m })?;
+    }
+    // The recording begins last: a start that fails must not leave one that refuses the next try.
+    if !args.no_recording {
+        exploration.log.recorder = Some(recorder(args, &config, header, &faults)?);
     }
     let end = exploration.explore()?;
     // The report comes also if the map cannot be saved.

@@ -5,6 +5,8 @@ use std::str::FromStr;
 use clap::Args;
 use drivers::fault::{Fault, FaultTextError, Faults, Now, random_faults};
 
+use crate::cli::whole_number;
+
 /// The options that inject faults.
 #[derive(Debug, Args, Clone, Default)]
 pub struct FaultArgs {
@@ -15,7 +17,7 @@ pub struct FaultArgs {
     #[arg(long = "fault", value_name = "FAULT")]
     pub texts: Vec<FaultText>,
     /// Seed of all random choices in faults.
-    #[arg(long, value_name = "N", default_value_t = 1, requires = "texts")]
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "texts", allow_negative_numbers = true, value_parser = whole_number(0..=u64::MAX))]
     pub fault_seed: u64,
 }
 

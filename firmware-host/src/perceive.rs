@@ -15,7 +15,7 @@ use crate::cli::PerceiveArgs;
 use crate::dataset::Dataset;
 use crate::dump::{Depths, Dump, Shot};
 use crate::frame_depth::{self, FrameDepth};
-use crate::replay::segments;
+use crate::report::another_run::refuse_run;
 use crate::report::atomic::prepare_dir;
 use crate::report::depth_sample::{FrameDepths, SheetRow, SheetSampler};
 use crate::report::depth_scale::DepthScale;
@@ -40,12 +40,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     let camera = *source.camera();
     let network =
         args.model.as_deref().map(|path| setup::load_network(path, &camera, config)).transpose()?;
-    if segments(&args.out).is_ok_and(|segments| args.out.is_dir() && !segments.is_empty()) {
-        bail!(
-            "{} contains a recorded run, whose summary would be overwritten; choose another --out",
-            args.out.display()
-        );
-    }
+    refuse_run(&args.out)?;
     prepare_dir(&args.out)?;
     let mut dump = args.dump.as_deref().map(|dir| Dump::create(dir, &camera)).transpose()?;
 
@@ -97,6 +92,10 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     }
     if let Some(progress) = progress {
         progress.finish();
+    }
+    if frames == 0 {
+        let path = source.path().display();
+        bail!("{path} has no frame that can be read; see firmware-host buffer verify {path}");
     }
     if let Some(dump) = dump {
         dump.write_index()?;

@@ -23,9 +23,10 @@ use crate::frame_depth::{self, FrameDepth};
 use crate::report::progress::{Progress, Status};
 use crate::simulation;
 
-/// Number of steps before a view: up to 0.7 m of driving or 48 degrees of rotation with the paper's
-/// steps.
+/// Number of steps before a view: up to 0.7 m of driving or 48 degrees of rotation.
 const HISTORY_STEPS: usize = 24;
+/// The paper's rotation step, whatever that of the robot is, so that views of all builds can be compared.
+const ROTATION_DEG: f64 = 2.0;
 /// Every third frame before a view is kept as well, for networks that match frames themselves.
 /// These are eight frames, as many as the runtime stores.
 const KEPT_EVERY: usize = 3;
@@ -99,7 +100,7 @@ fn draw_path(
 /// rotations only.
 fn path_to(view: &Pose2, config: &Config, approach: Approach, rng: &mut Pcg64Mcg) -> Vec<Pose2> {
     let side = if rng.random() { 1.0 } else { -1.0 };
-    let rotation = Pose2::new(0.0, 0.0, side * config.base.turn_step_deg.to_radians());
+    let rotation = Pose2::new(0.0, 0.0, side * ROTATION_DEG.to_radians());
     let forward = Pose2::new(config.base.forward_step_m, 0.0, 0.0);
     let rotation_share = match approach {
         Approach::Drive => rng.random_range(0.0..0.5),

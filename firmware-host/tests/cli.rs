@@ -21,11 +21,22 @@ fn text(bytes: &[u8]) -> String {
 
 /// Explores for 60 frames with a small camera and writes into `dir/NAME`.
 fn explore(dir: &TempDir, name: &str, more: &[&str]) -> (Output, PathBuf) {
-    let config = dir.path().join("robot.toml");
-    std::fs::write(&config, SMALL).unwrap();
+    explore_for(dir, "60", SMALL, name, more)
+}
+
+/// Explores for some frames with this configuration and writes into `dir/NAME`.
+fn explore_for(
+    dir: &TempDir,
+    frames: &str,
+    config: &str,
+    name: &str,
+    more: &[&str],
+) -> (Output, PathBuf) {
+    let file = dir.path().join("robot.toml");
+    std::fs::write(&file, config).unwrap();
     let out = dir.path().join(name);
     let mut args =
-        vec!["explore", "--frames", "60", "--seed", "5", "--config", config.to_str().unwrap()];
+        vec!["explore", "--frames", frames, "--seed", "5", "--config", file.to_str().unwrap()];
     args.extend(["--out", out.to_str().unwrap()]);
     args.extend(more);
     (firmware_host(&args), out)
@@ -157,6 +168,93 @@ fn perceive_refuses_to_overwrite_the_summary_of_a_run() {
     let said = text(&perceive.stderr);
     assert!(perceive.status.code() == Some(1) && said.contains("choose another --out"), "{said}");
     assert_eq!(summary(&run), before);
+}
+
+#[test]
+fn the_summary_of_a_run_without_a_recording_is_not_overwritten_by_any_command() {
+    let dir = TempDir::new().unwrap();
+    let more = [&HOME[..], &["--no-recording"]].concat();
+    let map = dir.path().join("home.map");
+    let with_map = [&more[..], &["--map", map.to_str().unwrap()]].concat();
+    let (first, out) = explore_for(&dir, "3", SMALL, "run", &with_map);
+    assert!(first.status.success(), "{}", text(&first.stderr));
+    let before = std::fs::read(out.join("summary.json")).unwrap();
+    let plot = std::fs::read(out.join("map.png")).unwrap();
+    let (again, _) = explore_for(&dir, "4", SMALL, "run", &more);
+    // The log is not there: the folder is refused before it is read.
+    let [folder, map] = [&out, &map].map(|path| path.to_str().unwrap());
+    let localize = ["localize", "--log", "nowhere.log", "--out", folder];
+    let export = ["map", "export", map, "--out", folder];
+    for refused in [again, firmware_host(&localize), firmware_host(&export)] {
+        let said = text(&refused.stderr);
+        assert!(
+            refused.status.code() == Some(1)
+                && said.contains("contains summary.json of another run; choose another --out"),
+            "{said}"
+        );
+    }
+    assert!(std::fs::read(out.join("summary.json")).unwrap() == before);
+    assert!(std::fs::read(out.join("map.png")).unwrap() == plot);
+    // The results of an earlier `localize` are replaced.
+    std::fs::write(out.join("online.tum"), "").unwrap();
+    let said = text(&firmware_host(&localize).stderr);
+    assert!(said.contains("nowhere.log"), "{said}");
+}
+
+#[test]
+fn perceive_refuses_a_recording_without_a_frame_and_writes_nothing() {
+    let dir = TempDir::new().unwrap();
+    let config = format!("{SMALL}[recording]\nimages = false\n");
+    let (_, run) = explore_for(&dir, "3", &config, "run", &HOME);
+    let out = dir.path().join("seen");
+    let [run, folder] = [&run, &out].map(|path| path.to_str().unwrap());
+    let perceive = firmware_host(&["perceive", "--recording", run, "--out", folder]);
+    let said = text(&perceive.stderr);
+    assert!(
+        perceive.status.code() == Some(1)
+            && said.contains("has no frame that can be read; see firmware-host buffer verify"),
+        "{said}"
+    );
+    assert_eq!(std::fs::read_dir(out).unwrap().count(), 0);
+}
+
+#[test]
+fn a_start_that_fails_leaves_no_recording_that_would_refuse_the_next_try() {
+    let dir = TempDir::new().unwrap();
+    let file = dir.path().join("text.txt");
+    std::fs::write(&file, "mine").unwrap();
+    for option in ["--dump", "--live"] {
+        let more = [&HOME[..], &[option, file.to_str().unwrap()]].concat();
+        let (failed, out) = explore_for(&dir, "3", SMALL, "run", &more);
+        assert_eq!(failed.status.code(), Some(1), "{option}");
+        assert!(!out.join("recording_0000.mcap").exists(), "{option}");
+    }
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
+    let (corrected, out) = explore_for(&dir, "3", SMALL, "run", &HOME);
+    assert!(corrected.status.success(), "{}", text(&corrected.stderr));
+    assert!(out.join("recording_0000.mcap").exists());
+}
+
+#[test]
+fn calibrate_refuses_its_configuration_and_its_output_before_it_measures() {
+    let dir = TempDir::new().unwrap();
+    // The recording is not there: everything else is refused before it is read.
+    let recording = ["calibrate", "--recording", "nowhere"];
+    let unwritable = dir.path().join("nosuchdir/calibration.toml");
+    let folder = dir.path().to_str().unwrap();
+    for (more, named) in [
+        (["--out", unwritable.to_str().unwrap()], "cannot write"),
+        (["--out", folder], "is not a regular file"),
+        (["--config", "none.toml"], "none.toml"),
+    ] {
+        let refused = firmware_host(&[&recording[..], &more].concat());
+        let said = text(&refused.stderr);
+        assert!(!refused.status.success() && said.contains(named), "{more:?}: {said}");
+        assert_eq!(text(&refused.stdout), "");
+    }
+    let of_log = ["calibrate", "--log", "nowhere.log", "--out", unwritable.to_str().unwrap()];
+    let said = text(&firmware_host(&of_log).stderr);
+    assert!(said.contains("nosuchdir") && !said.contains("nowhere.log"), "{said}");
 }
 
 #[test]
@@ -534,6 +632,8 @@ fn an_output_folder_that_is_a_file_or_holds_a_recording_is_refused() {
     std::fs::write(dir.path().join("file"), "mine").unwrap();
     let (onto_file, _) = explore(&dir, "file", &HOME);
     assert_eq!(onto_file.status.code(), Some(1));
+    let said = text(&onto_file.stderr);
+    assert!(said.ends_with("file is a file, not a folder; choose another folder\n"), "{said}");
     assert_eq!(std::fs::read_to_string(dir.path().join("file")).unwrap(), "mine");
     let (_, out) = explore(&dir, "run", &HOME);
     let before = std::fs::read(out.join("recording_0000.mcap")).unwrap();
@@ -817,6 +917,110 @@ fn the_seconds_around_a_moment_become_a_file_that_replays_alone() {
         "{}",
         text(&again.stderr)
     );
+}
+
+/// Runs `reproduce RUN --at MOMENT --out OUT`. Returns whether it succeeded, and all that it said.
+fn reproduce(run: &Path, moment: &str, out: &Path) -> (bool, String) {
+    let [run, out] = [run, out].map(|path| path.to_str().unwrap());
+    let made = firmware_host(&["reproduce", run, "--at", moment, "--out", out]);
+    (made.status.success(), text(&made.stdout) + &text(&made.stderr))
+}
+
+#[test]
+fn a_moment_after_missing_ticks_is_reproduced_from_the_next_snapshot_and_a_missing_one_is_refused()
+{
+    let dir = TempDir::new().unwrap();
+    let (_, run) = explore_for(&dir, "70", SHORT_SEGMENTS, "run", &HOME);
+    let second = run.join("recording_0001.mcap");
+    let missing = "recording_0001.mcap is missing";
+    let damage: [(&str, &dyn Fn(), &str); 2] = [
+        ("missing", &|| std::fs::remove_file(&second).unwrap(), missing),
+        ("corrupt", &|| std::fs::write(&second, "no recording").unwrap(), "recording_0001.mcap: "),
+    ];
+    for (name, damage, words) in damage {
+        damage();
+        let bug = dir.path().join(format!("{name}.mcap"));
+        let (made, said) = reproduce(&run, "45", &bug);
+        for part in [words, ": the file begins at tick 40", "26 ticks", "ticks=26 mismatches=0"] {
+            assert!(made && said.contains(part), "{name}: {part}: {said}");
+        }
+        let other = dir.path().join(format!("{name}-25.mcap"));
+        let (made, said) = reproduce(&run, "25", &other);
+        let refused = "tick 25 cannot be reproduced: ";
+        assert!(!made && said.contains(refused) && said.contains(words), "{name}: {said}");
+        assert!(!other.exists());
+    }
+}
+
+#[test]
+fn a_moment_is_refused_if_no_snapshot_lies_between_it_and_missing_ticks() {
+    let dir = TempDir::new().unwrap();
+    let (_, run) = explore_for(&dir, "20", SMALL, "run", &HOME);
+    let holed = dir.path().join("holed");
+    std::fs::create_dir(&holed).unwrap();
+    rewrite(&run, &holed, |tick| tick.tick += if tick.tick < 10 { 0 } else { 5 }).unwrap();
+    let missing = "ticks 10 to 14 are missing (recording_0000.mcap)";
+    for (moment, words) in [
+        ("18", format!("{missing}, and no snapshot lies between that and tick 18; choose an ")),
+        ("12", format!("{missing}; choose an --at from tick 15 on")),
+    ] {
+        let bug = dir.path().join("bug.mcap");
+        let (made, said) = reproduce(&holed, moment, &bug);
+        let refused = format!("tick {moment} cannot be reproduced: {words}");
+        assert!(!made && said.contains(&refused), "{said}");
+        assert!(!bug.exists());
+    }
+    let (made, said) = reproduce(&holed, "5", &dir.path().join("before.mcap"));
+    assert!(made && said.contains("ticks=10 mismatches=0"), "{said}");
+}
+
+#[test]
+fn reproduce_names_damage_that_may_hold_a_stop_and_a_file_that_does_not_fit_on_the_disk() {
+    let dir = TempDir::new().unwrap();
+    let (_, run) = explore_for(&dir, "60", SMALL, "run", &HOME);
+    let bug = dir.path().join("bug.mcap");
+    // What is left of another process, or of a person, stays and is in nobody's way.
+    let left = dir.path().join("bug.mcap.part");
+    std::fs::write(&left, "mine").unwrap();
+    let names = || {
+        let entries = std::fs::read_dir(dir.path()).unwrap();
+        let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        names
+    };
+    let before = names();
+    // A limit of the file size stands for a full disk.
+    let limited = "trap '' XFSZ; ulimit -f 1; exec \"$0\" \"$@\"";
+    let full = std::process::Command::new("bash")
+        .args(["-c", limited, assert_cmd::cargo::cargo_bin("firmware-host").to_str().unwrap()])
+        .arg("reproduce")
+        .arg(&run)
+        .args(["--at", "30", "--out"])
+        .arg(&bug)
+        .output()
+        .unwrap();
+    let said = text(&full.stderr);
+    assert!(
+        full.status.code() == Some(1)
+            && said.contains("bug.mcap: File too large")
+            && said.contains("; free disk space or choose another --out"),
+        "{said}"
+    );
+    assert_eq!(names(), before);
+
+    let file = run.join("recording_0000.mcap");
+    let bytes = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let arguments = ["reproduce", run.to_str().unwrap(), "--out", bug.to_str().unwrap()];
+    let damaged = text(&firmware_host(&arguments).stderr);
+    assert!(
+        damaged.contains("no stop in what can be read; recording_0000.mcap is damaged after tick "),
+        "{damaged}"
+    );
+    let (made, said) = reproduce(&run, "5", &bug);
+    assert!(made && bug.exists(), "{said}");
+    assert_eq!(std::fs::read_to_string(&left).unwrap(), "mine");
+    assert_eq!(names().len(), before.len() + 1);
 }
 
 /// The environment variable `KILLS` sets the number of kills.

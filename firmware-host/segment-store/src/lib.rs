@@ -19,7 +19,7 @@
 //! 3. `entry`: what is known about one segment;
 //! 4. [`wire`]: the messages of the pull protocol;
 //! 5. `error`: [`StoreError`];
-//! 6. [`private`], `root`, `marks`, `catalogue`, [`recover`](recover()): a store on a local disk;
+//! 6. [`private`], `root`, `marks`, `catalogue`, `partial`, [`recover`](recover()): a store on a local disk;
 //! 7. `send`, [`serve`](serve()): the robot's side of a pull;
 //! 8. [`source`], [`pull`]: the workstation's side of a pull;
 //! 9. [`export`] and `bucket`: other formats and object stores.
@@ -42,6 +42,7 @@ mod index;
 mod known_robots;
 mod marks;
 mod name;
+mod partial;
 pub mod private;
 pub mod pull;
 mod records;
@@ -56,7 +57,7 @@ mod verify;
 pub mod wire;
 
 pub use bytes::Bytes;
-pub use catalogue::{Catalogue, OPEN_FOR_NS};
+pub use catalogue::{Catalogue, Gap, OPEN_FOR_NS, Unread};
 pub use check_signature::{Signed, check_signature};
 pub use cpu_features::CpuFeatures;
 pub use digest::{Digest, Hasher};

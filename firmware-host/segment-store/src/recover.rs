@@ -7,19 +7,19 @@
 //! it, the channels that a dropped chunk defined are known, and a damaged length does not hide the chunks behind it.
 
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use mcap::records::{Channel, MessageHeader, op};
 use mcap::write::NoSeek;
 use mcap::{Compression, McapError, WriteOptions, Writer};
-use rustix::fs::{CWD, RenameFlags, renameat_with};
 
 use crate::bytes::Bytes;
 use crate::chunk::{self, Item};
 use crate::error::StoreError;
 use crate::index::Index;
+use crate::partial::{create_beside, give_name, refuse_existing};
 use crate::records::{self, MAGIC_LEN, RecordAt};
 
 /// What a recovery kept and dropped.
@@ -36,6 +36,8 @@ pub struct Recovered {
     /// The number of messages in kept chunks that were dropped because nothing defines their channel: neither a kept chunk nor
     /// the summary section.
     pub unknown_messages: u64,
+    /// The number of segments that end early.
+    pub cut: u64,
     /// The time of the last message, on the run's clock.
     pub last_ns: Option<u64>,
 }
@@ -94,11 +96,13 @@ impl<W: Write> Rewriter<W> {
     ) -> Result<(), McapError> {
         let mut definitions =
             Definitions { schemas: BTreeMap::from([(0, 0)]), channels: BTreeMap::new() };
-        self.done.bad_chunks += each_intact_chunk(file, |chunk, index| {
+        let damage = each_intact_chunk(file, |chunk, index| {
             chunk::each_item(chunk, |item| self.add_item(item, &mut definitions, index, edit))?;
             self.done.chunks += 1;
             self.mcap.flush()
         })?;
+        self.done.bad_chunks += damage.bad_chunks;
+        self.done.cut += u64::from(damage.is_cut);
         Ok(())
     }
 
@@ -176,22 +180,30 @@ impl<W: Write> Rewriter<W> {
     }
 }
 
+/// What is wrong with a segment.
+struct Damage {
+    bad_chunks: u64,
+    /// The file ends before the end of its data.
+    is_cut: bool,
+}
+
 /// Calls `each` for every intact chunk of a file, with its bytes and the definitions of the file's summary section, for those
-/// that no kept chunk has. Returns the number of the other chunks.
-pub(crate) fn each_intact_chunk<B: Bytes + ?Sized>(
+/// that no kept chunk has.
+fn each_intact_chunk<B: Bytes + ?Sized>(
     file: &B,
     mut each: impl FnMut(&[u8], &Index) -> Result<(), McapError>,
-) -> Result<u64, McapError> {
+) -> Result<Damage, McapError> {
     let length = file.length()?;
     let mut index = Index::read(file, length)?;
     let mut chunks = std::mem::take(&mut index.chunks);
+    let mut damage = Damage { bad_chunks: 0, is_cut: false };
     if chunks.is_empty() {
         if !records::has_magic(file, length)? {
-            return if length < MAGIC_LEN { Ok(0) } else { Err(McapError::BadMagic) };
+            damage.is_cut = true;
+            return if length < MAGIC_LEN { Ok(damage) } else { Err(McapError::BadMagic) };
         }
-        chunks = chunks_in_sequence(file, length)?;
+        (chunks, damage.is_cut) = chunks_in_sequence(file, length)?;
     }
-    let mut bad_chunks = 0;
     let mut buffer = Vec::new();
     for record in chunks {
         // Parsed once without a use, so that an error in the middle does not leave half of the chunk in the output.
@@ -200,28 +212,28 @@ pub(crate) fn each_intact_chunk<B: Bytes + ?Sized>(
         if is_intact {
             each(&buffer, &index)?;
         } else {
-            bad_chunks += 1;
+            damage.bad_chunks += 1;
         }
     }
-    Ok(bad_chunks)
+    Ok(damage)
 }
 
-/// The chunks of a file without index, from its sequence of records. A damaged length ends it.
+/// The chunks of a file without index, from its sequence of records, and whether that ends early. A damaged length ends it.
 fn chunks_in_sequence<B: Bytes + ?Sized>(
     file: &B,
     length: u64,
-) -> Result<Vec<RecordAt>, McapError> {
+) -> Result<(Vec<RecordAt>, bool), McapError> {
     let mut chunks = Vec::new();
     let mut at = MAGIC_LEN;
     while let Some(record) = records::record_at(file, at, length)? {
         match record.opcode {
-            op::DATA_END => break,
+            op::DATA_END => return Ok((chunks, false)),
             op::CHUNK => chunks.push(record),
             _ => {}
         }
         at = record.end();
     }
-    Ok(chunks)
+    Ok((chunks, true))
 }
 
 /// Writes all messages of all intact chunks of `file` as a complete MCAP file with an index.
@@ -237,9 +249,19 @@ pub fn recover<B: Bytes + ?Sized, W: Write>(file: &B, sink: W) -> Result<Recover
 /// Recovers the segment `from`, called `shown` in errors, into the new file `to`, which appears only when it is complete.
 ///
 /// # Errors
-/// When `to` exists already or cannot be written, or `from` is not an MCAP file.
+/// When `to` exists already or cannot be written, or `from` is not an MCAP file or has no intact tick.
 pub fn recover_file(from: &File, shown: &Path, to: &Path) -> Result<Recovered, StoreError> {
-    write_new(to, |sink| recover(from, sink).map_err(|error| failure(error, shown, to)))
+    write_new(to, |sink| {
+        let done = recover(from, sink).map_err(|error| failure(error, shown, to))?;
+        if done.ticks == 0 {
+            let bytes = from.length().map_err(StoreError::read(shown))?;
+            let detail = format!(
+                "no tick in it is intact ({bytes} bytes), so nothing was recovered; copy it again, or delete it"
+            );
+            return Err(StoreError::Segment { path: shown.to_owned(), detail });
+        }
+        Ok(done)
+    })
 }
 
 /// Writes a new file: `fill` writes a temporary file, which is renamed when it is complete.
@@ -247,24 +269,15 @@ pub(crate) fn write_new<T>(
     to: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> Result<T, StoreError>,
 ) -> Result<T, StoreError> {
-    if to.exists() {
-        return Err(StoreError::Exists { path: to.to_owned() });
-    }
-    let mut partial = to.as_os_str().to_owned();
-    partial.push(".partial");
-    let file = OpenOptions::new()
-        .write(true)
-        .create(true)
-        .truncate(true)
-        .open(&partial)
-        .map_err(StoreError::write(to))?;
+    refuse_existing(to)?;
+    let (partial, file) =
+        create_beside(to, |partial| File::create_new(partial)).map_err(StoreError::output(to))?;
     let mut sink = BufWriter::new(file);
     let filled = fill(&mut sink).and_then(|value| {
         let synced = sink.flush().and_then(|()| sink.get_ref().sync_all());
-        // NOREPLACE, because another process may have created the file in the meantime.
-        let named = synced
-            .and_then(|()| Ok(renameat_with(CWD, &partial, CWD, to, RenameFlags::NOREPLACE)?));
-        named.map_err(StoreError::write(to)).map(|()| value)
+        synced.map_err(StoreError::output(to))?;
+        give_name(&partial, to)?;
+        Ok(value)
     });
     if filled.is_err() {
         // The error that is returned is the first one; failing to remove the temporary file adds nothing.
@@ -276,7 +289,7 @@ pub(crate) fn write_new<T>(
 /// An I/O error concerns the output, every other error the contents of the input.
 pub(crate) fn failure(error: McapError, from: &Path, to: &Path) -> StoreError {
     match error {
-        McapError::Io(source) => StoreError::Write { path: to.to_owned(), source },
+        McapError::Io(source) => StoreError::Output { path: to.to_owned(), source },
         other => StoreError::Segment { path: from.to_owned(), detail: other.to_string() },
     }
 }

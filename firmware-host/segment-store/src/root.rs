@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use rustix::fs::{AtFlags, Dir, FileType, Mode, OFlags, open, openat, renameat, statat, unlinkat};
+use rustix::io::Errno;
 
 use crate::error::StoreError;
 use crate::name::Name;
@@ -78,8 +79,13 @@ pub(crate) fn list(folder: BorrowedFd<'_>) -> io::Result<Vec<Listed>> {
         if name.starts_with('.') {
             continue;
         }
-        // The file may have been deleted since the directory was read.
-        let Ok(stat) = statat(folder, name, AtFlags::SYMLINK_NOFOLLOW) else { continue };
+        let stat = match statat(folder, name, AtFlags::SYMLINK_NOFOLLOW) {
+            Ok(stat) => stat,
+            // The directory may be listed but not entered: none of its files can be read.
+            Err(error @ Errno::ACCESS) => return Err(error.into()),
+            // The file may have been deleted since the directory was read.
+            Err(_) => continue,
+        };
         found.push(Listed {
             name: name.to_owned(),
             kind: FileType::from_raw_mode(stat.st_mode),

@@ -1,11 +1,14 @@
 //! `firmware-host buffer erase`: removes a run from this computer, and prints what it was as a receipt.
 
 use std::fs::{self, File};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail, ensure};
-use segment_store::{Digest, Hasher, State};
+use segment_store::{Catalogue, Digest, Hasher, State};
+
+use crate::output;
 
 /// A line of the receipt.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -17,8 +20,19 @@ struct Line {
 
 /// Prints the receipt, and erases the run if `yes`. Otherwise the exit code is 1.
 pub(super) fn run(dir: &Path, yes: bool) -> Result<ExitCode> {
+    erase_with(dir, yes, output::finish)
+}
+
+/// `print_all` writes what was printed to where it belongs.
+fn erase_with(dir: &Path, yes: bool, print_all: fn() -> io::Result<()>) -> Result<ExitCode> {
+    ensure!(
+        dir.is_dir(),
+        "{} is not a directory; give the --out directory of one run",
+        dir.display()
+    );
+    // Neither `.` nor a link can be removed as a directory.
+    let dir = &dir.canonicalize().with_context(|| format!("cannot read {}", dir.display()))?;
     let lines = receipt(dir)?;
-    // Before anything is erased: a receipt that cannot be printed would be lost.
     for Line { path, bytes, digest } in &lines {
         println!("{digest} {bytes:>12} {}", path.display());
     }
@@ -28,6 +42,10 @@ pub(super) fn run(dir: &Path, yes: bool) -> Result<ExitCode> {
         println!("{files} files, {bytes} bytes; nothing was erased: `--yes` erases them");
         return Ok(ExitCode::FAILURE);
     }
+    // Before anything is erased: a receipt that cannot be printed would be lost.
+    print_all().context(
+        "nothing was erased: cannot write the receipt to standard output; free space there",
+    )?;
     erase(dir, &lines)?;
     let date = jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ");
     println!("erased {}: {files} files, {bytes} bytes, {date}", dir.display());
@@ -36,12 +54,7 @@ pub(super) fn run(dir: &Path, yes: bool) -> Result<ExitCode> {
 
 /// Every file of a run, with its digest (BLAKE3). Refuses what is not the folder of exactly one finished run.
 fn receipt(dir: &Path) -> Result<Vec<Line>> {
-    ensure!(
-        dir.is_dir(),
-        "{} is not a directory; give the --out directory of one run",
-        dir.display()
-    );
-    let (_, segments) = super::segments(dir)?;
+    let (_, Catalogue { entries: segments, .. }) = super::segments(dir)?;
     if let Some(other) = segments.iter().find(|segment| !segment.name.run().is_empty()) {
         let run = dir.join(other.name.run());
         bail!("{} holds runs, such as {}; give one of them", dir.display(), run.display());
@@ -113,6 +126,26 @@ mod tests {
         assert_eq!(lines[0].digest, Digest::of(b"a plan of the home"));
         super::run(&run, true).unwrap();
         assert!(!run.exists() && runs.path().exists());
+    }
+
+    #[test]
+    fn nothing_is_erased_if_the_receipt_cannot_be_printed() {
+        let runs = runs();
+        let run = runs.path().join("monday");
+        let full = || Err(io::ErrorKind::StorageFull.into());
+        let error = format!("{:#}", erase_with(&run, true, full).unwrap_err());
+        assert!(error.starts_with("nothing was erased: cannot write the receipt"), "{error}");
+        assert_eq!(fs::read_dir(&run).unwrap().count(), 3);
+    }
+
+    #[test]
+    fn a_run_is_erased_through_a_link_to_it() {
+        let runs = runs();
+        let run = runs.path().join("monday");
+        let link = runs.path().join("latest");
+        std::os::unix::fs::symlink(&run, &link).unwrap();
+        super::run(&link, true).unwrap();
+        assert!(!run.exists());
     }
 
     #[test]

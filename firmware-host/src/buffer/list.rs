@@ -1,35 +1,32 @@
 //! `firmware-host buffer list`.
 
 use std::path::Path;
+use std::process::ExitCode;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use comfy_table::{CellAlignment, Table, presets::ASCII_MARKDOWN};
 use segment_store::{Catalogue, Entry, Pulled, State};
 use serde_json::{Value, json};
 
-use super::detect_unlocked;
+use super::{exit_code, find, segments, tell_unread};
 use crate::report::fit;
 
-pub(super) fn run(dir: &Path, as_json: bool) -> Result<()> {
-    let (root, mut catalogue) = Catalogue::open(dir)?;
-    detect_unlocked(&root, &mut catalogue.entries);
+/// Lists the segments. The exit code is 1 if something cannot be read.
+pub(super) fn run(path: &Path, as_json: bool) -> Result<ExitCode> {
     if as_json {
+        let (_, catalogue) = find(path)?;
         let entries: Vec<Value> = catalogue.entries.iter().map(value).collect();
         println!("{}", serde_json::to_string_pretty(&entries)?);
-        return Ok(());
+        return Ok(exit_code(tell_unread(&catalogue)));
     }
-    ensure!(
-        !catalogue.entries.is_empty(),
-        "{} contains no recording_NNNN.mcap; give a directory of runs, or the --out directory of one run",
-        dir.display()
-    );
+    let (_, catalogue) = segments(path)?;
     println!("{}", fit::table(&table(&catalogue), fit::columns()));
     let segments = &catalogue.entries;
     let bytes: u64 = segments.iter().map(|entry| entry.bytes).sum();
     let pulled = segments.iter().filter(|entry| entry.pulled_digest().is_some()).count();
     let segment = if segments.len() == 1 { "segment" } else { "segments" };
     println!("{} {segment}, {}, {pulled} of them pulled", segments.len(), megabytes(bytes));
-    Ok(())
+    Ok(exit_code(tell_unread(&catalogue)))
 }
 
 fn table(catalogue: &Catalogue) -> Table {

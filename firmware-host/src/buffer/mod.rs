@@ -1,5 +1,6 @@
 //! `firmware-host buffer`: lists, verifies, recovers, exports, erases and serves recorded segments.
 
+mod damage;
 mod erase;
 mod list;
 mod pull_log;
@@ -13,10 +14,13 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use segment_store::{
-    Catalogue, CpuFeatures, Entry, Finding, Name, Root, State, StoreError, export, recover_file,
+    Catalogue, CpuFeatures, Entry, Finding, Name, Root, State, StoreError, export, is_segment_name,
+    recover_file,
 };
 
 use crate::cli::{BufferArgs, BufferTask, ExportLayout};
+use crate::failure::sentence;
+use damage::Damage;
 use pull_log::PullLog;
 
 /// Runs one of the subcommands.
@@ -25,12 +29,10 @@ use pull_log::PullLog;
 /// When the segments cannot be read or the output cannot be written.
 pub fn run(args: &BufferArgs) -> Result<ExitCode> {
     match &args.task {
-        BufferTask::List { dir, json } => list::run(dir, *json).map(|()| ExitCode::SUCCESS),
+        BufferTask::List { dir, json } => list::run(dir, *json),
         BufferTask::Verify { path, robots } => verify::run(path, robots.as_deref()),
         BufferTask::Recover { path, out } => recover_all(path, out),
-        BufferTask::Export { path, layout, out } => {
-            export_run(path, *layout, out).map(|()| ExitCode::SUCCESS)
-        }
+        BufferTask::Export { path, layout, out } => export_run(path, *layout, out),
         BufferTask::Erase { dir, yes } => erase::run(dir, *yes),
         BufferTask::Serve { dir } => serve(dir).map(|()| ExitCode::SUCCESS),
     }
@@ -47,31 +49,63 @@ fn detect_unlocked(root: &Root, entries: &mut [Entry]) {
     }
 }
 
-/// The segments of a directory of runs, of one run, or the one segment at `path`.
-fn segments(path: &Path) -> Result<(Root, Vec<Entry>), StoreError> {
+/// The segments of a directory of runs, of one run, or the one segment at `path`, and what cannot be read of them.
+fn find(path: &Path) -> Result<(Root, Catalogue), StoreError> {
     let is_file = path.is_file();
     let dir = if is_file {
         path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."))
     } else {
         path
     };
-    let (root, catalogue) = Catalogue::open(dir)?;
-    let mut entries = catalogue.entries;
-    if is_file {
-        entries.retain(|entry| {
-            entry.name.run().is_empty()
-                && path.file_name().is_some_and(|file| file == entry.name.file())
-        });
-    }
-    detect_unlocked(&root, &mut entries);
-    if entries.is_empty() {
+    let file = path.file_name().unwrap_or_default().to_string_lossy();
+    if is_file && !is_segment_name(&file) {
         let text = format!(
-            "{} contains no recording_NNNN.mcap; give a directory of runs, the --out directory of one run, or one segment",
+            "{} is not named like a segment; rename it to recording_0000.mcap",
             path.display()
         );
         return Err(StoreError::Usage(text));
     }
-    Ok((root, entries))
+    let (root, mut catalogue) = Catalogue::open(dir)?;
+    if is_file {
+        let is_it = |name: &Name| name.as_str() == file;
+        catalogue.entries.retain(|entry| is_it(&entry.name));
+        catalogue.unread.retain(|unread| unread.name.as_ref().is_some_and(is_it));
+    }
+    detect_unlocked(&root, &mut catalogue.entries);
+    Ok((root, catalogue))
+}
+
+/// As [`find`]; an error without any segment that can be read.
+fn segments(path: &Path) -> Result<(Root, Catalogue), StoreError> {
+    let (root, catalogue) = find(path)?;
+    match (catalogue.entries.first(), catalogue.unread.first()) {
+        (None, Some(unread)) => Err(StoreError::Usage(unread.to_string())),
+        (None, None) => Err(StoreError::Usage(format!(
+            "{} contains no recording_NNNN.mcap; give a directory of runs, the --out directory of one run, or one segment",
+            path.display()
+        ))),
+        (Some(_), _) => Ok((root, catalogue)),
+    }
+}
+
+/// Names what cannot be read. Returns whether there is nothing of that.
+fn tell_unread(catalogue: &Catalogue) -> bool {
+    for unread in &catalogue.unread {
+        eprintln!("{unread}");
+    }
+    catalogue.unread.is_empty()
+}
+
+/// Names the segments that are missing between others. That is no failure: a robot deletes segments for space.
+fn tell_missing(catalogue: &Catalogue) {
+    for gap in catalogue.gaps() {
+        println!("missing: {gap}; deleted (the robot does so for space), or not copied");
+    }
+}
+
+/// 0, or 1 for a command that left something out.
+fn exit_code(is_complete: bool) -> ExitCode {
+    if is_complete { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
 /// The end of a line about a segment whose last message is at `last_ns`.
@@ -81,29 +115,31 @@ fn until(last_ns: Option<u64>) -> String {
 
 /// Writes a whole segment for every one that is cut, corrupt or without an index, under the same name below `out`.
 fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
-    let (root, entries) = segments(path)?;
+    let (root, catalogue) = segments(path)?;
+    tell_unread(&catalogue);
     let mut recovered = 0;
-    let mut failed = 0;
-    for entry in &entries {
+    let mut others = 0;
+    let mut failed = catalogue.unread.len();
+    for entry in &catalogue.entries {
         // An error in one segment does not keep the others from being recovered.
         match recover_one(&root, entry, out) {
             Ok(true) => recovered += 1,
-            Ok(false) => {}
+            Ok(false) => others += 1,
             Err(error) => {
-                eprintln!("{}: {error:#}", entry.name);
+                eprintln!("{}", sentence(&error));
                 failed += 1;
             }
         }
     }
-    let others = entries.len() - recovered - failed;
     println!("{recovered} recovered, {others} whole or being written, {failed} failed");
-    Ok(if failed == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(exit_code(failed == 0))
 }
 
 /// Whether the segment was damaged and has been recovered.
 fn recover_one(root: &Root, entry: &Entry, out: &Path) -> Result<bool> {
-    let file = root.open_file(&entry.name).context("cannot open the segment")?;
-    if segment_store::verify(&file).context("cannot read the segment")?.finding == Finding::Whole {
+    let unread = || format!("cannot read {}", root.path().join(entry.name.as_str()).display());
+    let file = root.open_file(&entry.name).with_context(unread)?;
+    if segment_store::verify(&file).with_context(unread)?.finding == Finding::Whole {
         return Ok(false);
     }
     if entry.state == State::Open {
@@ -125,36 +161,44 @@ fn recover_one(root: &Root, entry: &Entry, out: &Path) -> Result<bool> {
     Ok(true)
 }
 
-fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
-    let (root, entries) = segments(path)?;
-    if let Some(other) = entries.iter().find(|entry| entry.name.run() != entries[0].name.run()) {
-        let first = entries[0].name.run();
+/// Exports what can be read of a run. The exit code is 1 if that is not all.
+fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<ExitCode> {
+    let (root, catalogue) = segments(path)?;
+    let mut runs = catalogue.runs().into_keys();
+    if let (Some(first), Some(other)) = (runs.next(), runs.next()) {
         bail!(
-            "{} contains several runs ({first:?}, {:?}, ...); give the directory of one",
-            path.display(),
-            other.name.run()
+            "{} contains several runs ({first:?}, {other:?}, ...); give the directory of one",
+            path.display()
         );
     }
     let files: Vec<PathBuf> =
-        entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
+        catalogue.entries.iter().map(|entry| root.path().join(entry.name.as_str())).collect();
+    let damage = export_as(layout, &files, out)?;
+    let is_all_read = tell_unread(&catalogue);
+    let left_out = damage.left_out(&catalogue);
+    if !left_out.is_empty() {
+        println!("left out: {}", left_out.join(", "));
+    }
+    tell_missing(&catalogue);
+    Ok(exit_code(is_all_read && left_out.is_empty()))
+}
+
+/// Exports segments, prints what was written, and returns what was not.
+fn export_as(layout: ExportLayout, files: &[PathBuf], out: &Path) -> Result<Damage> {
     match layout {
         ExportLayout::Mcap => {
-            let done = export::mcap(&files, out)?;
+            let done = export::mcap(files, out)?;
             println!("{}: {} ticks, {} messages", out.display(), done.ticks, done.messages);
+            Ok(Damage { chunks: done.bad_chunks, messages: done.unknown_messages, cut: done.cut })
         }
         ExportLayout::Viewer => {
-            let done = export::viewer(&files, out)?;
+            let done = export::viewer(files, out)?;
             println!("{}: {} ticks, {} messages", out.display(), done.ticks, done.messages);
             tell_date(done.dated);
-            if done.unreadable + done.bad_chunks > 0 {
-                println!(
-                    "left out: {} messages that cannot be read, {} damaged chunks",
-                    done.unreadable, done.bad_chunks
-                );
-            }
+            Ok(Damage { chunks: done.bad_chunks, messages: done.unreadable, cut: done.cut })
         }
         ExportLayout::Ros2 => {
-            let done = export::ros2(&files, out)?;
+            let done = export::ros2(files, out)?;
             println!(
                 "{}: {} messages, of these {} images, {} scans and {} maps; {} ticks had no pose",
                 out.display(),
@@ -165,19 +209,21 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
                 done.without_pose
             );
             tell_date(done.dated);
+            Ok(Damage::cut(done.cut))
         }
         ExportLayout::Tum => {
-            let done = export::tum(&files, out)?;
+            let done = export::tum(files, out)?;
             println!(
                 "{}: {} images, {} left out without a pose",
                 out.display(),
                 done.images,
                 done.without_pose
             );
+            Ok(Damage::cut(done.cut))
         }
         #[cfg(feature = "lerobot")]
         ExportLayout::Lerobot => {
-            let done = export::lerobot(&files, out)?;
+            let done = export::lerobot(files, out)?;
             println!(
                 "{}: {} episodes, {} images, {} left out without odometry or a command",
                 out.display(),
@@ -185,13 +231,13 @@ fn export_run(path: &Path, layout: ExportLayout, out: &Path) -> Result<()> {
                 done.frames,
                 done.left_out
             );
+            Ok(Damage::cut(done.cut))
         }
         #[cfg(not(feature = "lerobot"))]
         ExportLayout::Lerobot => bail!(
             "this build has no LeRobot export: `cargo install --path firmware-host --features lerobot` on the workstation has it"
         ),
     }
-    Ok(())
 }
 
 /// Says where the dates of an export are from, if not from the recording.
@@ -216,4 +262,139 @@ fn serve(dir: &Path) -> Result<()> {
     segment_store::serve(&root, CpuFeatures::detect(), &mut log, &mut input, &mut output)
         .context("the connection broke")?;
     output.flush().context("the connection broke")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::os::unix::fs::symlink;
+
+    use runtime::recording::Views;
+
+    use super::*;
+    use crate::record::tests::{run_header, some_tick};
+    use crate::record::{Recorder, RecorderOptions};
+
+    /// A run of four segments, of two ticks in each but the last.
+    fn run_of_four(dir: &Path) -> PathBuf {
+        let run = dir.join("monday");
+        let options =
+            RecorderOptions { segment_ns: 150_000_000, ..RecorderOptions::simulation(&run) };
+        let mut recorder = Recorder::start(options, run_header()).unwrap();
+        for tick in 0..7 {
+            recorder.record(some_tick(tick), Views::default()).unwrap();
+        }
+        recorder.finish().unwrap();
+        assert_eq!(segments(&run).unwrap().1.entries.len(), 4);
+        run
+    }
+
+    fn path_of(run: &Path, number: u32) -> PathBuf {
+        run.join(format!("recording_{number:04}.mcap"))
+    }
+
+    /// Cuts a segment in its header.
+    fn cut(segment: &Path) {
+        let bytes = fs::read(segment).unwrap();
+        fs::write(segment, &bytes[..200]).unwrap();
+    }
+
+    fn exported(run: &Path, layout: ExportLayout, to: &str) -> Result<ExitCode> {
+        export_run(run, layout, &run.with_file_name(to))
+    }
+
+    const ALL: [(ExportLayout, &str); 3] = [
+        (ExportLayout::Mcap, "mcap"),
+        (ExportLayout::Viewer, "viewer"),
+        (ExportLayout::Ros2, "bag"),
+    ];
+
+    #[test]
+    fn a_segment_that_cannot_be_read_makes_every_command_fail_and_the_others_are_handled() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = run_of_four(dir.path());
+        let moved = dir.path().join("elsewhere.mcap");
+        fs::rename(path_of(&run, 1), &moved).unwrap();
+        symlink(&moved, path_of(&run, 1)).unwrap();
+        let (_, catalogue) = segments(&run).unwrap();
+        let told = catalogue.unread[0].to_string();
+        assert!(told.contains("recording_0001.mcap: it is a symbolic link"), "{told}");
+        assert_eq!(catalogue.entries.len(), 3);
+        assert_eq!(list::run(&run, true).unwrap(), ExitCode::FAILURE);
+        assert_eq!(list::run(&run, false).unwrap(), ExitCode::FAILURE);
+        assert_eq!(verify::run(&run, None).unwrap(), ExitCode::FAILURE);
+        let out = dir.path().join("whole");
+        assert_eq!(recover_all(&run, &out).unwrap(), ExitCode::FAILURE);
+        for (layout, to) in ALL {
+            assert_eq!(exported(&run, layout, to).unwrap(), ExitCode::FAILURE, "{to}");
+            assert!(dir.path().join(to).exists(), "{to}");
+        }
+        let alone = segments(&path_of(&run, 1)).unwrap_err().to_string();
+        assert_eq!(alone, told);
+    }
+
+    #[test]
+    fn a_whole_run_is_verified_listed_and_exported_without_complaint() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = run_of_four(dir.path());
+        assert_eq!(list::run(&run, false).unwrap(), ExitCode::SUCCESS);
+        assert_eq!(list::run(&path_of(&run, 2), false).unwrap(), ExitCode::SUCCESS);
+        assert_eq!(verify::run(&run, None).unwrap(), ExitCode::SUCCESS);
+        assert_eq!(verify::run(&path_of(&run, 2), None).unwrap(), ExitCode::SUCCESS);
+        for (layout, to) in ALL {
+            assert_eq!(exported(&run, layout, to).unwrap(), ExitCode::SUCCESS, "{to}");
+        }
+    }
+
+    #[test]
+    fn an_export_of_a_cut_run_writes_what_can_be_read_and_fails() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = run_of_four(dir.path());
+        cut(&path_of(&run, 1));
+        for (layout, to) in ALL {
+            assert_eq!(exported(&run, layout, to).unwrap(), ExitCode::FAILURE, "{to}");
+            assert!(dir.path().join(to).exists(), "{to}");
+        }
+    }
+
+    #[test]
+    fn a_run_from_which_the_robot_deleted_segments_for_space_is_whole_and_is_exported() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = run_of_four(dir.path());
+        for number in [1, 0] {
+            fs::remove_file(path_of(&run, number)).unwrap();
+            assert_eq!(verify::run(&run, None).unwrap(), ExitCode::SUCCESS, "{number}");
+            let to = format!("without-{number}.mcap");
+            assert_eq!(exported(&run, ExportLayout::Mcap, &to).unwrap(), ExitCode::SUCCESS);
+        }
+    }
+
+    #[test]
+    fn recovering_an_empty_segment_fails_and_writes_no_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = run_of_four(dir.path());
+        fs::write(path_of(&run, 3), "").unwrap();
+        let out = dir.path().join("whole");
+        let (root, catalogue) = segments(&run).unwrap();
+        let empty = catalogue.entries.last().unwrap();
+        let error = sentence(&recover_one(&root, empty, &out).unwrap_err());
+        assert!(error.contains("recording_0003.mcap") && error.contains("(0 bytes)"), "{error}");
+        assert_eq!(fs::read_dir(&out).unwrap().count(), 0);
+        assert_eq!(recover_all(&run, &out).unwrap(), ExitCode::FAILURE);
+    }
+
+    #[test]
+    fn a_recording_with_another_name_is_told_to_be_renamed() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = run_of_four(dir.path());
+        let bug = dir.path().join("bug.mcap");
+        fs::copy(path_of(&run, 0), &bug).unwrap();
+        for error in [
+            exported(&bug, ExportLayout::Viewer, "v.mcap").unwrap_err(),
+            list::run(&bug, false).unwrap_err(),
+        ] {
+            let said = error.to_string();
+            assert!(said.contains("bug.mcap is not named like a segment; rename it"), "{said}");
+        }
+    }
 }

@@ -36,7 +36,7 @@ use crate::cli::CalibrateArgs;
 use crate::config::Config;
 use crate::localize::log::Log;
 use crate::recorded::Recorded;
-use crate::report::atomic::write_atomically;
+use crate::report::atomic::{check_file, write_atomically};
 use against::against;
 pub use drive::{CameraDrive, Drive, DriveReader, Mounts};
 use file::Provenance;
@@ -62,12 +62,16 @@ pub fn run(args: &CalibrateArgs) -> Result<()> {
 }
 
 fn of_recording(path: &Path, args: &CalibrateArgs) -> Result<()> {
+    // What cannot succeed is refused before the measurement, which takes minutes.
+    let config = args.config.as_deref().map(Config::load).transpose()?;
+    let beside = args.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
+    let out = args.out.clone().unwrap_or_else(|| beside.join(DEFAULT_FILE));
+    check_file(&out)?;
     let recording = Recorded::open(path)?;
     let (drive, camera) = read(&recording)?;
     let measured = measure(&drive, camera.as_ref())?;
     let header = recording.run();
     let recorded = config_of(header)?;
-    let config = args.config.as_deref().map(Config::load).transpose()?;
     let config = config.unwrap_or_else(|| recorded.clone());
     let is_simulated = header.scene.is_some();
     let mut findings = measured.findings.clone();
@@ -76,12 +80,11 @@ fn of_recording(path: &Path, args: &CalibrateArgs) -> Result<()> {
     }
     print(&findings, &measured);
     refuse(&findings)?;
-    let beside = args.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
-    let out = args.out.clone().unwrap_or_else(|| beside.join(DEFAULT_FILE));
     write(&findings, path, &out)
 }
 
 fn of_log(path: &Path, args: &CalibrateArgs) -> Result<()> {
+    args.out.as_deref().map_or(Ok(()), check_file)?;
     let log = Log::read(path)?;
     println!("odometry: {}", log.odometry);
     let measured = measure(&Drive::of_log(&log), None)?;

@@ -1,7 +1,7 @@
 //! What is wrong with a configuration file, in words with which the user can correct it.
 
 use std::{
-    fmt,
+    fmt, io,
     path::{Path, PathBuf},
 };
 
@@ -10,8 +10,8 @@ use std::{
 #[non_exhaustive]
 pub enum ConfigError {
     /// The file cannot be read.
-    #[error("cannot read the configuration {}: {source}; `firmware-host check > robot.toml` writes one to begin with", path.display())]
-    Unreadable { path: PathBuf, source: std::io::Error },
+    #[error("{}", unreadable(path, source))]
+    Unreadable { path: PathBuf, source: io::Error },
     /// The file is not TOML, or serde refused a value.
     #[error("{}: {message}", path.display())]
     NotToml {
@@ -27,7 +27,7 @@ pub enum ConfigError {
         "cannot read the calibration {}, which {} names: {source}; `firmware-host calibrate` writes it; without one, remove the line `calibration`",
         path.display(), named_by.display()
     )]
-    NoCalibration { path: PathBuf, named_by: PathBuf, source: std::io::Error },
+    NoCalibration { path: PathBuf, named_by: PathBuf, source: io::Error },
     /// No measurement bears out what the safety plane assumes.
     #[error(
         "{}: run.commissioning is \"measured\", but {why}. `firmware-host check --drive --config {}` measures it on the floor; set \"by_hand\" \
@@ -41,6 +41,24 @@ pub enum ConfigError {
         /// All of them, at least one, in the order of the file.
         problems: Vec<Problem>,
     },
+}
+
+/// The hint to write a new file is for a missing one only: it would destroy one that exists.
+fn unreadable(path: &Path, source: &io::Error) -> String {
+    let path = path.display();
+    match source.kind() {
+        io::ErrorKind::InvalidData => format!("{path} is not UTF-8; save it as UTF-8"),
+        kind => {
+            let way_out = match kind {
+                io::ErrorKind::NotFound => {
+                    "`firmware-host check > robot.toml` writes one to begin with"
+                }
+                io::ErrorKind::PermissionDenied => "run as an account that may read it",
+                _ => "choose another --config",
+            };
+            format!("cannot read the configuration {path}: {source}; {way_out}")
+        }
+    }
 }
 
 /// The parser's words for a key or a section that is there twice.
@@ -115,5 +133,23 @@ impl fmt::Display for InFile<'_> {
             }
             Problem::Together { message } => write!(f, "{path}: {message}"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::Config;
+
+    #[test]
+    fn only_for_a_missing_file_the_refusal_names_the_command_that_writes_a_new_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let load = |name: &str| Config::load(&dir.path().join(name)).unwrap_err().to_string();
+        let missing = load("robot.toml");
+        assert!(missing.contains("check > robot.toml` writes one to begin with"), "{missing}");
+        let folder = load("");
+        assert!(folder.contains("Is a directory") && !folder.contains('>'), "{folder}");
+        std::fs::write(dir.path().join("latin.toml"), b"# caf\xe9\n").unwrap();
+        let latin = load("latin.toml");
+        assert!(latin.ends_with("latin.toml is not UTF-8; save it as UTF-8"), "{latin}");
     }
 }

@@ -182,7 +182,7 @@ fn a_value_of_another_type_is_refused_with_what_is_allowed() {
             .ends_with("line 1 is not allowed: it must be true or false")
     );
     assert!(refusal("camera = 3").contains("it must be a table"));
-    assert_eq!(parse("base.turn_step_deg = 2").unwrap(), Config::default());
+    assert_eq!(parse("base.turn_step_deg = 4").unwrap(), Config::default());
 }
 
 #[test]
@@ -321,7 +321,7 @@ fn the_default_camera_is_the_camera_of_the_paper() {
 fn one_action_per_tick_is_the_speed() {
     let base = Config::default().base;
     assert!((base.forward().integrate(base.tick_s()).x_m - 0.03).abs() < 1e-12);
-    assert!((base.turn_radps().to_degrees() - 20.0).abs() < 1e-9);
+    assert!((base.turn_radps().to_degrees() - 40.0).abs() < 1e-9);
     assert_eq!(base.tick_ns(), 100_000_000);
 }
 

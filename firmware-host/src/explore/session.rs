@@ -61,6 +61,7 @@ pub(super) struct Exploration {
 /// The outputs of a simulated run: recording, evaluation against ground truth, latencies and plots.
 pub(super) struct RunLog {
     recording: RecordingSection,
+    /// The recording, if the run is recorded.
     pub recorder: Option<Recorder>,
     /// The dump of coarse depth for training, if there is one.
     pub dump: Option<Dump>,
@@ -109,7 +110,6 @@ impl Exploration {
         simulated: &SimulatedRobot,
         faults: &Faults,
         robot: Robot,
-        recorder: Option<Recorder>,
         panel: &ControlPanel,
     ) -> Self {
         let world = simulated.devices().truth;
@@ -123,7 +123,7 @@ impl Exploration {
             simulated_devices(config, simulated, faults, maps_truth, args.real_time, panel);
         let log = RunLog {
             recording: config.recording.clone(),
-            recorder,
+            recorder: None,
             dump: None,
             map: None,
             models: None,

@@ -33,7 +33,7 @@ use crate::check;
 use crate::cli::{CheckArgs, InitArgs};
 use crate::config::{Commissioning, Config};
 use crate::output::Output;
-use crate::report::atomic::write_atomically;
+use crate::report::atomic::{self, write_atomically};
 use crate::report::fit;
 use answers::Answers;
 use dialogue::Dialogue;
@@ -97,7 +97,9 @@ fn refuse_early(args: &InitArgs, is_terminal: bool) -> Result<()> {
     if args.out.exists() && !args.force {
         bail!("{} exists: --force replaces it, --out FILE writes another file", args.out.display());
     }
-    let folder = args.out.parent().filter(|folder| *folder != Path::new(""));
+    // The folder of the file that a link leads to.
+    let out = atomic::target(&args.out)?;
+    let folder = out.parent().filter(|folder| *folder != Path::new(""));
     let folder = folder.unwrap_or(Path::new("."));
     access(folder, Access::WRITE_OK).with_context(|| {
         format!("cannot write {}: choose another folder by --out, or use sudo", args.out.display())

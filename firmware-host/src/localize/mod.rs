@@ -15,9 +15,14 @@ use runtime::localization::LocalizationConfig;
 use serde::Serialize;
 
 use crate::cli::LocalizeArgs;
+use crate::report::another_run::refuse_run;
 use crate::report::atomic::{prepare_dir, write_atomically};
+use crate::report::summary::SUMMARY_FILE;
 use log::Log;
 use track::Track;
+
+/// The poses as they were known at their times. No other command writes it.
+const ONLINE_FILE: &str = "online.tum";
 
 /// `summary.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -42,6 +47,10 @@ struct Times {
 /// # Errors
 /// A log that cannot be read, or a folder that cannot be written.
 pub fn run(args: &LocalizeArgs) -> Result<()> {
+    // The results of an earlier `localize` are replaced, those of any other command are not.
+    if !args.out.join(ONLINE_FILE).exists() {
+        refuse_run(&args.out)?;
+    }
     let log = Log::read(&args.log)?;
     prepare_dir(&args.out)?;
     if log.other_shape > 0 {
@@ -52,9 +61,9 @@ pub fn run(args: &LocalizeArgs) -> Result<()> {
     let track = track::track(&log, &LocalizationConfig::default())?;
     let write = |name: &str, text: &str| write_atomically(&args.out.join(name), text.as_bytes());
     write("trajectory.tum", &trajectory::tum(&log, &track.corrected))?;
-    write("online.tum", &trajectory::tum(&log, &track.online))?;
+    write(ONLINE_FILE, &trajectory::tum(&log, &track.online))?;
     let summary = summary(&track);
-    write("summary.json", &serde_json::to_string_pretty(&summary)?)?;
+    write(SUMMARY_FILE, &serde_json::to_string_pretty(&summary)?)?;
     view::draw(&log, &track.corrected).write_png(&args.out.join("map.png"))?;
     println!(
         "{} scans, {:.1} m, {} closures, {:.2} ms a scan",

@@ -6,6 +6,7 @@ use anyhow::{Result, bail};
 use runtime::robot::SavedMap;
 
 use super::{ros, walls};
+use crate::report::another_run::refuse_run;
 use crate::report::atomic::{prepare_dir, write_atomically};
 use crate::report::known_cells::KnownCells;
 use crate::report::map_image::MapPlot;
@@ -19,6 +20,7 @@ pub(super) fn write(map: &SavedMap, figures: &str, dir: &Path) -> Result<()> {
     let Some(cells) = KnownCells::of(&map.grid) else {
         bail!("the map has no known cell: there is nothing to export");
     };
+    refuse_run(dir)?;
     prepare_dir(dir)?;
     write_atomically(&dir.join(ros::PGM_FILE), &ros::pgm(&cells))?;
     write_atomically(&dir.join(YAML_FILE), ros::yaml(&cells).as_bytes())?;

@@ -11,6 +11,7 @@ use serde_json::json;
 use signed_model::{Bundle, TrustedKeys};
 
 use super::{ChildLimits, Gate, Outcome, Store, examine};
+use crate::cli::whole_number;
 use crate::config::Config;
 
 /// Configuration file of the Debian package.
@@ -70,7 +71,7 @@ pub struct InstallArgs {
     #[arg(long, value_name = "DIR")]
     pub recordings: Vec<PathBuf>,
     /// Maximum number of held-out frames on which the model is evaluated.
-    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 300, allow_negative_numbers = true, value_parser = whole_number(1..=100_000))]
     pub frames: u64,
     /// Accept a first model even without enough held-out frames. Has no effect if a model is
     /// installed.

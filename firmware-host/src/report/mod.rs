@@ -3,6 +3,7 @@
 
 pub mod alignment;
 pub mod animation;
+pub mod another_run;
 pub mod atomic;
 pub mod canvas;
 pub(crate) mod colors;

@@ -22,6 +22,8 @@ impl ConfigValue for BodySector {
 
 /// Accuracy of a UTM-30LX up to 10 m (data sheet: 30 mm).
 const LATERAL_MARGIN_M: f64 = 0.03;
+/// The robot escapes slowly, because it does not know what it touches: 20 degrees per second.
+const ESCAPE_RADPS: f64 = 20f64.to_radians();
 
 hal::settings! {
     /// The safety plane, which checks every command before it reaches the wheels.
@@ -112,7 +114,7 @@ impl SafetySection {
             blind_back_off_m: self.blind_back_off_m,
             rear_memory_s: self.rear_memory_s,
             back_off_mps: robot.speed_mps(),
-            escape_radps: robot.turn_radps(),
+            escape_radps: robot.turn_radps().min(ESCAPE_RADPS),
             back_off_timeout_s: self.back_off_timeout_s,
             scan_timeout_s: self.scan_timeout_s,
             good_scans: 1,
@@ -132,7 +134,7 @@ impl Default for SafetyConfig {
             // The speeds of the default robot, without the rounding error of dividing a step by a tick: recorded decisions
             // depend on every bit.
             back_off_mps: 0.3,
-            escape_radps: 20f64.to_radians(),
+            escape_radps: ESCAPE_RADPS,
             ..SafetySection::default().safety_config(&RobotDescription::default())
         }
     }

@@ -1,12 +1,9 @@
 //! Dates of recorded times. Recordings have the times of the robot's monotonic clock; viewers and ROS show dates.
 
-use std::fs::File;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use runtime::recording::{RecordingReader, SegmentHeader};
-
+use super::ticks::header;
 use crate::error::StoreError;
 
 /// How the times of a run become dates.
@@ -44,12 +41,6 @@ impl Dates {
     pub fn unix_ns(self, time_ns: u64) -> u64 {
         self.zero_unix_ns.saturating_add(time_ns)
     }
-}
-
-/// The header of a segment; `None` when the segment is cut before it or is no recording, which the export reports.
-fn header(path: &Path) -> Result<Option<SegmentHeader>, StoreError> {
-    let file = File::open(path).map_err(StoreError::read(path))?;
-    Ok(RecordingReader::open(BufReader::new(file)).ok().map(|reader| reader.header().clone()))
 }
 
 /// When a file was written last, Unix nanoseconds.

@@ -8,6 +8,46 @@ use runtime::recording::{RecordedTick, RecordingError, RecordingReader, SegmentH
 
 use crate::error::StoreError;
 
+/// The header of a segment; `None` when the segment is cut before it or is no recording, which the export reports.
+pub(super) fn header(path: &Path) -> Result<Option<SegmentHeader>, StoreError> {
+    let file = File::open(path).map_err(StoreError::read(path))?;
+    Ok(RecordingReader::open(BufReader::new(file)).ok().map(|reader| reader.header().clone()))
+}
+
+/// Refuses segments that do not have the order of their ticks, because an export would then run backwards.
+pub(super) fn check_order(segments: &[PathBuf]) -> Result<(), StoreError> {
+    let mut before: Option<(&PathBuf, u64)> = None;
+    for path in segments {
+        let Some(SegmentHeader { first_tick, .. }) = header(path)? else { continue };
+        if let Some((other, other_tick)) = before.filter(|(_, tick)| *tick >= first_tick) {
+            let detail = format!(
+                "begins at tick {first_tick}, but {} before it at tick {other_tick}; name the segments of a run in the order of \
+                 their ticks, and put each run into a directory of its own",
+                other.display()
+            );
+            return Err(StoreError::Segment { path: path.clone(), detail });
+        }
+        before = Some((path, first_tick));
+    }
+    Ok(())
+}
+
+/// What an error about all of `segments` calls them: the one segment, or the directory of the run.
+pub(super) fn shown(segments: &[PathBuf]) -> PathBuf {
+    match segments {
+        [one] => one.clone(),
+        [first, ..] => first.parent().unwrap_or(first).to_owned(),
+        [] => PathBuf::new(),
+    }
+}
+
+/// The error for a run without a tick that can be read.
+pub(super) fn no_tick(segments: &[PathBuf]) -> StoreError {
+    let detail =
+        "no tick can be read, so there is nothing to export; `firmware-host buffer verify` says what is wrong".to_owned();
+    StoreError::Segment { path: shown(segments), detail }
+}
+
 /// Calls `each` for every tick of `segments` in the given order. Returns the number of segments that end early.
 pub(super) fn each_tick(
     segments: &[PathBuf],

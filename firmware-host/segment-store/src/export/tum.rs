@@ -12,7 +12,7 @@ use image::ExtendedColorType;
 use runtime::recording::{RecordedTick, SegmentHeader};
 
 use super::folder::new_folder;
-use super::ticks::{each_tick, frames_per_second, png};
+use super::ticks::{check_order, each_tick, frames_per_second, png, shown};
 use crate::error::StoreError;
 
 /// The value of a depth image for one metre.
@@ -32,10 +32,12 @@ pub struct TumSummary {
 /// Exports the run that consists of `segments`, in this order, into the new directory `to`.
 ///
 /// # Errors
-/// When `to` exists already or cannot be written, or a segment is not a recording.
+/// When `to` exists already or cannot be written, a segment is not a recording, or the segments are out of order or have no image
+/// with a pose.
 pub fn tum(segments: &[PathBuf], to: &Path) -> Result<TumSummary, StoreError> {
+    check_order(segments)?;
     new_folder(to, |dir| {
-        let mut export = Export::new(dir)?;
+        let mut export = Export::new(dir, shown(segments))?;
         let cut = each_tick(segments, |header, tick| export.tick(header, tick))?;
         export.exported.cut = cut;
         export.finish()
@@ -44,6 +46,8 @@ pub fn tum(segments: &[PathBuf], to: &Path) -> Result<TumSummary, StoreError> {
 
 struct Export {
     dir: PathBuf,
+    /// What errors about the recording call it.
+    run: PathBuf,
     header: Option<SegmentHeader>,
     rgb: String,
     depth: String,
@@ -53,11 +57,12 @@ struct Export {
 }
 
 impl Export {
-    fn new(dir: &Path) -> Result<Self, StoreError> {
+    fn new(dir: &Path, run: PathBuf) -> Result<Self, StoreError> {
         let images = dir.join("rgb");
-        std::fs::create_dir_all(&images).map_err(StoreError::write(images))?;
+        std::fs::create_dir_all(&images).map_err(StoreError::output(images))?;
         Ok(Self {
             dir: dir.to_owned(),
+            run,
             header: None,
             rgb: "# color images\n# timestamp filename\n".to_owned(),
             depth: "# depth maps\n# timestamp filename\n".to_owned(),
@@ -98,7 +103,7 @@ impl Export {
 
     fn depth(&mut self, stamp: &str, truth: &DepthMap) -> Result<(), StoreError> {
         let folder = self.dir.join("depth");
-        std::fs::create_dir_all(&folder).map_err(StoreError::write(folder))?;
+        std::fs::create_dir_all(&folder).map_err(StoreError::output(folder))?;
         let name = format!("depth/{stamp}.png");
         let bytes: Vec<u8> =
             truth.values().iter().flat_map(|depth_m| depth_value(*depth_m).to_ne_bytes()).collect();
@@ -118,19 +123,19 @@ impl Export {
         let path = self.dir.join(name);
         png(bytes, width, height, color)
             .and_then(|png| std::fs::write(&path, png))
-            .map_err(StoreError::write(path))
+            .map_err(StoreError::output(path))
     }
 
     fn finish(self) -> Result<TumSummary, StoreError> {
         let Some(header) = self.header.as_ref().filter(|_| self.exported.images > 0) else {
             let detail =
                 "the run contains no image with a pose, so there is nothing to export".to_owned();
-            return Err(StoreError::Segment { path: self.dir, detail });
+            return Err(StoreError::Segment { path: self.run, detail });
         };
         if let Distortion::Fisheye(_) = header.run.camera.distortion {
             let detail = "the images are from a fisheye camera, which dataset.toml cannot describe"
                 .to_owned();
-            return Err(StoreError::Segment { path: self.dir, detail });
+            return Err(StoreError::Segment { path: self.run, detail });
         }
         let mut files =
             vec![("rgb.txt", self.rgb.clone()), ("groundtruth.txt", self.poses.clone())];
@@ -140,7 +145,7 @@ impl Export {
         files.push(("dataset.toml", manifest(header, &self.times_ns)));
         for (name, text) in files {
             let path = self.dir.join(name);
-            std::fs::write(&path, text).map_err(StoreError::write(path))?;
+            std::fs::write(&path, text).map_err(StoreError::output(path))?;
         }
         Ok(self.exported)
     }

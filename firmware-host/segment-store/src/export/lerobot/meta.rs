@@ -116,5 +116,5 @@ fn pandas_column(name: &str, pandas_type: &str, numpy_type: &str) -> Value {
 pub(super) fn write_json(dir: &Path, name: &str, value: &Value) -> Result<(), StoreError> {
     let path = dir.join("meta").join(name);
     let text = serde_json::to_vec_pretty(value).map_err(std::io::Error::other);
-    text.and_then(|text| std::fs::write(&path, text)).map_err(StoreError::write(path))
+    text.and_then(|text| std::fs::write(&path, text)).map_err(StoreError::output(path))
 }

@@ -20,7 +20,7 @@ use runtime::recording::{RecordedTick, RgbImage, SegmentHeader};
 use serde_json::json;
 
 use super::folder::new_folder;
-use super::ticks::each_tick;
+use super::ticks::{check_order, each_tick, shown};
 use crate::error::StoreError;
 use layout::{BREAK_NS, CHUNK_FILES, Episode, MAX_DATA_FILE, ROW_GROUP};
 use rows::{Action, Rows, State};
@@ -42,11 +42,12 @@ pub struct LerobotSummary {
 /// Exports the run that consists of `segments`, in this order, into the new directory `to`.
 ///
 /// # Errors
-/// When `to` exists already or cannot be written, a segment is not a recording, or the run contains no image with odometry and
-/// a command.
+/// When `to` exists already or cannot be written, a segment is not a recording, the segments are out of order, or the run contains
+/// no image with odometry and a command.
 pub fn lerobot(segments: &[PathBuf], to: &Path) -> Result<LerobotSummary, StoreError> {
+    check_order(segments)?;
     new_folder(to, |dir| {
-        let mut export = Export::new(dir);
+        let mut export = Export::new(dir, shown(segments));
         let cut = each_tick(segments, |header, tick| export.tick(header, tick))?;
         export.exported.cut = cut;
         export.finish()
@@ -55,6 +56,8 @@ pub fn lerobot(segments: &[PathBuf], to: &Path) -> Result<LerobotSummary, StoreE
 
 struct Export {
     dir: PathBuf,
+    /// What errors about the recording call it.
+    run: PathBuf,
     header: Option<SegmentHeader>,
     rows: Rows,
     /// Computed from the first row group.
@@ -78,9 +81,10 @@ struct Waiting {
 }
 
 impl Export {
-    fn new(dir: &Path) -> Self {
+    fn new(dir: &Path, run: PathBuf) -> Self {
         Self {
             dir: dir.to_owned(),
+            run,
             header: None,
             rows: Rows::default(),
             fps: None,
@@ -127,7 +131,7 @@ impl Export {
         let episode = self.episodes.len() as i64;
         self.rows
             .push(frame.time_ns, &frame.image, frame.state, action, episode)
-            .map_err(StoreError::write(&self.dir))?;
+            .map_err(StoreError::output(&self.dir))?;
         if self.rows.waiting() >= ROW_GROUP { self.flush() } else { Ok(()) }
     }
 
@@ -181,7 +185,7 @@ impl Export {
             let detail =
                 "the run contains no image with odometry and a command, so there is nothing to export"
                     .to_owned();
-            return Err(StoreError::Segment { path: self.dir, detail });
+            return Err(StoreError::Segment { path: self.run, detail });
         };
         self.flush()?;
         // Flushed before, because rows of the last episode are still waiting.

@@ -44,8 +44,8 @@ impl Table {
         columns: &[Column<'_>],
     ) -> std::result::Result<Self, StoreError> {
         let folder = path.parent().unwrap_or(path);
-        std::fs::create_dir_all(folder).map_err(StoreError::write(folder))?;
-        let file = File::create(path).map_err(StoreError::write(path))?;
+        std::fs::create_dir_all(folder).map_err(StoreError::output(folder))?;
+        let file = File::create(path).map_err(StoreError::output(path))?;
         let writer = schema(columns)
             .and_then(|schema| {
                 SerializedFileWriter::new(file, schema, Arc::new(properties(columns)))
@@ -81,7 +81,7 @@ impl Table {
 }
 
 fn failed(path: &Path) -> impl FnOnce(ParquetError) -> StoreError {
-    move |error| StoreError::write(path)(std::io::Error::other(error))
+    move |error| StoreError::output(path)(std::io::Error::other(error))
 }
 
 fn schema(columns: &[Column<'_>]) -> Result<TypePtr> {

@@ -23,7 +23,7 @@ use self::topics::Topic;
 use super::dates::Dates;
 use super::folder::new_folder;
 use super::maps::{Map, maps};
-use super::ticks::each_tick;
+use super::ticks::{check_order, each_tick, no_tick};
 use crate::error::StoreError;
 use crate::recover::failure;
 
@@ -50,8 +50,9 @@ pub struct RosbagSummary {
 /// odometry, transforms, maps and decisions. Times are dates: a time of zero, at which a simulation begins, means "the latest" to TF.
 ///
 /// # Errors
-/// When `to` exists already or cannot be written, or a segment is not a recording.
+/// When `to` exists already or cannot be written, a segment is not a recording, or the segments are out of order or have no tick.
 pub fn ros2(segments: &[PathBuf], to: &Path) -> Result<RosbagSummary, StoreError> {
+    check_order(segments)?;
     let name = format!("{}_0.mcap", to.file_name().unwrap_or_default().to_string_lossy());
     new_folder(to, |dir| {
         let path = dir.join(&name);
@@ -64,9 +65,12 @@ pub fn ros2(segments: &[PathBuf], to: &Path) -> Result<RosbagSummary, StoreError
                 bag.tick(header, tick).map_err(|error| tick_error(error, segment, to))
             })?;
         }
+        if bag.bagged.messages == 0 {
+            return Err(no_tick(segments));
+        }
         let (bagged, metadata) = bag.finish(&name).map_err(|error| failure(error, &path, to))?;
         let path = dir.join("metadata.yaml");
-        std::fs::write(&path, metadata).map_err(StoreError::write(path))?;
+        std::fs::write(&path, metadata).map_err(StoreError::output(path))?;
         Ok(bagged)
     })
 }

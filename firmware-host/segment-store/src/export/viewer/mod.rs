@@ -21,8 +21,9 @@ use serde::Deserialize;
 
 use self::poses::Poses;
 use super::dates::Dates;
+use super::ticks::{check_order, no_tick};
 use crate::error::StoreError;
-use crate::recover::{Output, Recorded, Rewriter, failure, write_new};
+use crate::recover::{Output, Recorded, Recovered, Rewriter, failure, write_new};
 
 /// Heights above the map at which paths are drawn, so that none hides another, metres.
 const PATH_HEIGHT_M: f64 = 0.02;
@@ -37,10 +38,13 @@ pub struct ViewerSummary {
     pub messages: u64,
     /// The number of ticks of the control loop.
     pub ticks: u64,
-    /// The number of messages that were left out because they do not have the content of their topic.
+    /// The number of messages that were left out because they do not have the content of their topic, or nothing defines their
+    /// channel.
     pub unreadable: u64,
     /// The number of chunks that were left out because they are damaged.
     pub bad_chunks: u64,
+    /// The number of segments that end early.
+    pub cut: u64,
     /// Whether the dates are from the recording. Otherwise the run begins when its first file was written.
     pub dated: bool,
 }
@@ -48,8 +52,10 @@ pub struct ViewerSummary {
 /// Exports the run that consists of `segments`, in this order, into the new file `to`.
 ///
 /// # Errors
-/// When a segment is not an MCAP file, or `to` exists already or cannot be written.
+/// When a segment is not an MCAP file, the segments are out of order or have no tick, or `to` exists already or cannot be
+/// written.
 pub fn viewer(segments: &[PathBuf], to: &Path) -> Result<ViewerSummary, StoreError> {
+    check_order(segments)?;
     let dates = Dates::of(segments)?;
     write_new(to, |sink| {
         let mut rewriter = Rewriter::begin(sink).map_err(|error| failure(error, to, to))?;
@@ -61,7 +67,7 @@ pub fn viewer(segments: &[PathBuf], to: &Path) -> Result<ViewerSummary, StoreErr
                 .map_err(|error| failure(error, segment, to))?;
         }
         let (_, read) = rewriter.finish().map_err(|error| failure(error, to, to))?;
-        Ok(ViewerSummary { ticks: read.ticks, bad_chunks: read.bad_chunks, ..shown.done })
+        if read.ticks == 0 { Err(no_tick(segments)) } else { Ok(shown.summary(&read)) }
     })
 }
 
@@ -74,7 +80,7 @@ pub fn viewer_of_bytes<W: Write>(segment: &[u8], sink: W) -> Result<ViewerSummar
     let mut shown = Shown::new(Dates::default());
     rewriter.add_edited(segment, &mut |out, message| shown.add(out, &message))?;
     let (_, read) = rewriter.finish()?;
-    Ok(ViewerSummary { ticks: read.ticks, bad_chunks: read.bad_chunks, ..shown.done })
+    Ok(shown.summary(&read))
 }
 
 /// The run as viewers show it.
@@ -99,6 +105,17 @@ impl Shown {
             scan: None,
             taken_ns: None,
             done: ViewerSummary { dated: dates.recorded, ..ViewerSummary::default() },
+        }
+    }
+
+    /// The counts, with those of the reader.
+    fn summary(&self, read: &Recovered) -> ViewerSummary {
+        ViewerSummary {
+            ticks: read.ticks,
+            unreadable: self.done.unreadable + read.unknown_messages,
+            bad_chunks: read.bad_chunks,
+            cut: read.cut,
+            ..self.done
         }
     }
 

@@ -135,8 +135,10 @@ def _dump(job: ShardJob, file: Path, frames: Frames, scratch: Path) -> Iterator[
         return
     assert job.robot is not None
     folder = scratch.with_suffix(".coarse")
+    # A killed process with the same number may have left it, and `perceive` does not replace the results of another run.
+    shutil.rmtree(folder, ignore_errors=True)
     try:
-        folder.mkdir(mode=0o700, exist_ok=True)
+        folder.mkdir(mode=0o700)
         command = [str(job.robot), "perceive", "--recording", str(file)]
         call([*command, "--out", str(folder / "look"), "--dump", str(folder / "dump")], folder / "perceive.log")
         yield CoarseDump(folder / "dump", frames)
