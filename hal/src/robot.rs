@@ -34,7 +34,7 @@ impl Default for RobotDescription {
             lidar: LidarMount::default(),
             // The paper's step.
             forward_step_m: 0.03,
-            // The paper rotates by 2 degrees, and a robot that explores a home then rotates for more than half of its time.
+            // The paper rotates by 2 degrees, and a robot that explores a home then rotates for about half of its time.
             turn_step_deg: 4.0,
             // 0.3 m/s and 40 degrees/s.
             tick_ms: 100,

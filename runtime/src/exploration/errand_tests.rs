@@ -62,12 +62,14 @@ impl Drive {
             bumped: false,
         };
         let primitive = self.explorer.step(&senses, &mut self.events);
-        let rotation_rad = 2_f64.to_radians();
+        let rotation_rad = 4_f64.to_radians();
         let motion = match primitive {
             Primitive::Forward => Pose2::new(0.03, 0.0, 0.0),
             Primitive::TurnLeft => Pose2::new(0.0, 0.0, rotation_rad),
             Primitive::TurnRight => Pose2::new(0.0, 0.0, -rotation_rad),
-            _ => Pose2::IDENTITY,
+            Primitive::ArcLeft => Pose2::new(0.015, 0.0, rotation_rad),
+            Primitive::ArcRight => Pose2::new(0.015, 0.0, -rotation_rad),
+            Primitive::Stay => Pose2::IDENTITY,
         };
         self.pose = self.pose.compose(&motion);
         self.tick += 1;

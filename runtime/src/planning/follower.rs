@@ -280,12 +280,10 @@ mod tests {
             .map(|i| f64::from(i) * 0.01)
             .map(|a| [2.0 * a.sin(), 2.0 - 2.0 * a.cos()])
             .collect();
-        let arcs = drive_with(
-            &FollowerConfig { arcs: true, ..FollowerConfig::default() },
-            &bend,
-            Pose2::IDENTITY,
-        );
-        let steps = drive(&bend, Pose2::IDENTITY);
+        let [arcs, steps] = [true, false].map(|arcs| {
+            let config = FollowerConfig { arcs, ..FollowerConfig::default() };
+            drive_with(&config, &bend, Pose2::IDENTITY)
+        });
         assert!(arcs.reached && arcs.rotations == 0, "{} rotations on the spot", arcs.rotations);
         assert!(steps.rotations > 10);
     }
