@@ -92,6 +92,10 @@ fn measure(robot: &Path) -> Result<Vec<Value>> {
 fn start<'a>(robot: &Path, scene: &'a str, folder: &Path) -> Result<(&'a str, PathBuf, Child)> {
     let name: String = scene.chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
     let out = folder.join(name);
+    // The results of an earlier call: `explore` does not replace them.
+    if out.exists() {
+        std::fs::remove_dir_all(&out).with_context(|| out.display().to_string())?;
+    }
     let mut explore = command::program(robot);
     explore.args(["explore", "--no-recording", "--policy", "active", "--seed", SEED]);
     explore.args(["--scene", scene, "--frames", &FRAMES.to_string(), "--out"]).arg(&out);
