@@ -135,7 +135,7 @@ def _dump(job: ShardJob, file: Path, frames: Frames, scratch: Path) -> Iterator[
         return
     assert job.robot is not None
     folder = scratch.with_suffix(".coarse")
-    # A killed process with the same number may have left it, and `perceive` does not replace the results of another run.
+    # A killed process with the same number may have left it, and `perceive` replaces no results of another run.
     shutil.rmtree(folder, ignore_errors=True)
     try:
         folder.mkdir(mode=0o700)
