@@ -166,7 +166,7 @@ enum Chore {
         /// Names of the targets [default: all].
         targets: Vec<String>,
     },
-    /// Check that the safety plane's tests detect every mutant of its code. Takes an hour on one core.
+    /// Check that the safety plane's tests detect every mutant of its code. Takes several hours.
     Mutants {
         /// Options of `cargo mutants`, such as `--shard 0/20`; `cargo mutants --help` lists them.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]

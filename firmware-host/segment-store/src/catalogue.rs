@@ -169,10 +169,10 @@ impl Catalogue {
 
 /// What is missing between two names that follow each other.
 fn gap(name: &Name, next: &Name) -> Option<Gap> {
-    let (number, next_number) = (name.number()?, next.number()?);
-    let numbers = (number.checked_add(1)?, next_number.checked_sub(1)?);
-    let is_gap = name.run() == next.run() && numbers.0 <= numbers.1;
-    is_gap.then(|| Gap { run: name.run().to_owned(), numbers })
+    let first = name.number()?.checked_add(1)?;
+    let last = next.number()?.checked_sub(1)?;
+    let is_gap = name.run() == next.run() && first <= last;
+    is_gap.then(|| Gap { run: name.run().to_owned(), numbers: (first, last) })
 }
 
 fn has_marker(listed: &[Listed], file: &str, suffix: &str) -> bool {

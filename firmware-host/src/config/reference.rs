@@ -115,7 +115,9 @@ fn markdown() -> String {
     let _ = writeln!(
         out,
         "Every key of the file that `--config` names. All keys are optional. `firmware-host check` prints them as a TOML\n\
-         file with comments, and `firmware-host check --config FILE` checks a file and prints every effective value.\n"
+         file with comments, and `firmware-host check --config FILE` checks a file and prints every effective value.\n\n\
+         The key `calibration = \"calibration.toml\"` at the top of the file includes what `firmware-host calibrate` has measured: the values\n\
+         of that file replace those of this one (docs/calibration.md).\n"
     );
     let _ = writeln!(out, "{PAPER} This file is generated from the source code by\n`{COMMAND}`.");
     let defaults = defaults();

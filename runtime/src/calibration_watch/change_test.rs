@@ -31,8 +31,6 @@ const CENTER: usize = 4;
 const NOISE_PRIOR: f64 = 4.0;
 /// Measured in fewer blocks than this, the noise is at least the stated one: so a base that is worse than expected raises no alarm.
 const LEAST_NOISE_BLOCKS: f64 = 16.0;
-/// Least noise, as a share of the stated one.
-const LEAST_NOISE: f64 = 0.05;
 /// Of what came between the beginning of the run and the window, this share remains with the next block.
 const MIDDLE_MEMORY: f64 = 0.95;
 /// A change of which this share was there before it seems to begin has come slowly.
@@ -45,6 +43,8 @@ pub(crate) struct Limits<const N: usize> {
     pub expected: [f64; N],
     /// Noise of the equations, as a share of the stated one, before it is measured.
     pub noise: [f64; N],
+    /// Least noise, as a share of the stated one, whatever was measured from block to block.
+    pub least_noise: [f64; N],
     /// Smaller changes are not reported.
     pub least: [f64; N],
     /// A change is reported when it is larger than this many of its standard deviations.
@@ -187,7 +187,7 @@ impl<const N: usize> ChangeTest<N> {
     fn likely_noise(&self, index: usize, limits: &Limits<N>) -> f64 {
         let measured = self.squares[index] / self.stated[index].max(f64::MIN_POSITIVE);
         let sum = NOISE_PRIOR * limits.noise[index].powi(2) + self.noise_blocks * measured;
-        (sum / (NOISE_PRIOR + self.noise_blocks)).sqrt().max(LEAST_NOISE)
+        (sum / (NOISE_PRIOR + self.noise_blocks)).sqrt().max(limits.least_noise[index])
     }
 
     fn reference_estimate(&self, limits: &Limits<N>) -> SVector<f64, N> {
@@ -304,7 +304,8 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
-    const LIMITS: Limits<1> = Limits { expected: [5.0], noise: [1.0], least: [0.2], sigmas: 6.0 };
+    const LIMITS: Limits<1> =
+        Limits { expected: [5.0], noise: [1.0], least_noise: [0.05], least: [0.2], sigmas: 6.0 };
 
     /// The changes that are found, with the block in which they are found. Each block has four equations of the parameter,
     /// with a standard deviation of 1 that is stated as 2.
@@ -378,6 +379,30 @@ mod tests {
         for seed in 0..100 {
             assert_eq!(found_with(seed, 500, 1.0, &limits, |_| 3.0), [], "{seed}");
         }
+    }
+
+    /// The number of changes that are found where every eight blocks have the same error, which is three times as large as stated for
+    /// eight blocks with independent errors.
+    fn found_with_shared_errors(least_noise: f64) -> usize {
+        let limits = Limits { noise: [least_noise], least_noise: [least_noise], ..LIMITS };
+        let sigma = 3.0 / 32.0_f64.sqrt();
+        let errors = |seed: u64| -> Vec<f64> {
+            let mut rng = Pcg64Mcg::seed_from_u64(seed + 1_000);
+            let mut normal = || (0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0;
+            (0..60).map(|_| sigma * normal()).collect()
+        };
+        let of_seed = |seed: u64| {
+            let errors = errors(seed);
+            found_with(seed, 480, 1.0, &limits, |block| errors[block as usize / 8]).len()
+        };
+        (0..50).map(of_seed).sum()
+    }
+
+    #[test]
+    fn errors_that_neighbouring_blocks_share_raise_no_alarm_where_their_noise_is_stated() {
+        assert_eq!(found_with_shared_errors(3.0), 0);
+        let unstated = found_with_shared_errors(LIMITS.least_noise[0]);
+        assert!(unstated > 10, "{unstated}");
     }
 
     #[test]

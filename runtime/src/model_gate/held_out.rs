@@ -48,11 +48,11 @@ impl Default for HeldOutRule {
 impl HeldOutRule {
     /// The bin of the robot's pose (`base_link` in `map`); `None` for a pose that is not finite.
     #[must_use]
-    pub fn bin(&self, odom: &Pose2) -> Option<PoseBin> {
-        let x = (odom.x_m / self.cell_m).floor() as i64;
-        let y = (odom.y_m / self.cell_m).floor() as i64;
-        let sector = ((odom.yaw_rad / TAU + 0.5) * self.sectors as f64).floor() as i64;
-        odom.is_finite().then(|| PoseBin { x, y, sector: sector.rem_euclid(self.sectors.max(1)) })
+    pub fn bin(&self, pose: &Pose2) -> Option<PoseBin> {
+        let x = (pose.x_m / self.cell_m).floor() as i64;
+        let y = (pose.y_m / self.cell_m).floor() as i64;
+        let sector = ((pose.yaw_rad / TAU + 0.5) * self.sectors as f64).floor() as i64;
+        pose.is_finite().then(|| PoseBin { x, y, sector: sector.rem_euclid(self.sectors.max(1)) })
     }
 
     /// Whether the frames of this bin are held out.
