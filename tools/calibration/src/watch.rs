@@ -58,10 +58,10 @@ const DISTURBANCES: [Disturbance; 6] = [
         apply: |truth| truth.camera_pitch_down_deg = 1.0,
     },
     Disturbance {
-        name: "camera yaw 1 degree",
+        name: "camera yaw 10 degrees",
         what: Watched::CameraYaw,
         needs_frames: true,
-        apply: |truth| truth.camera_yaw_deg = 1.0,
+        apply: |truth| truth.camera_yaw_deg = 10.0,
     },
     Disturbance {
         name: "camera latency 10 ms",
