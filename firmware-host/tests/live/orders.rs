@@ -1,10 +1,13 @@
 //! Orders over the robot's socket act, are refused with a reason, and are recorded.
 
+use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::process::Command;
 
+use hal::Clock;
 use live_link::Order;
+use monotonic_clock::MonotonicClock;
 use runtime::event::Event;
 use runtime::exploration::PolicyKind;
 use runtime::operator::{OperatorOrder, Role};
@@ -132,12 +135,19 @@ fn a_robot_pauses_when_its_last_watcher_is_gone_where_the_configuration_says_so(
     visitor.subscribe(&["/robot/now"]);
     visitor.wait_now("driving", |now| now["stands"] == false);
     drop(visitor);
-    let paused = |run: &Explore| {
+    // The client that saw the pause stays, so that the robot does not pause a second time.
+    let witness = RefCell::new(None);
+    run.wait("the pause", |run| {
+        // Who looks watches: between two looks the robot has more than its 0.3 s alone.
+        let mut clock = MonotonicClock;
+        clock.sleep_until_ns(clock.now_ns() + 1_000_000_000);
         let mut visitor = Visitor::come(&run.socket());
         visitor.subscribe(&["/robot/now"]);
-        visitor.wait_now("a tick", |_| true)["why"] == "Paused. Press Resume to go on."
-    };
-    run.wait("the pause", paused);
+        let now = visitor.wait_now("a tick", |_| true);
+        let is_paused = now["why"] == "Paused. Press Resume to go on.";
+        *witness.borrow_mut() = is_paused.then_some(visitor);
+        is_paused
+    });
     run.end();
     let (orders, tasks) = recorded(&run);
     assert_eq!(tasks, [Task::Pause]);
