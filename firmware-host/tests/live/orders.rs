@@ -135,10 +135,10 @@ fn a_robot_pauses_when_its_last_watcher_is_gone_where_the_configuration_says_so(
     visitor.subscribe(&["/robot/now"]);
     visitor.wait_now("driving", |now| now["stands"] == false);
     drop(visitor);
-    // The client that saw the pause stays, so that the robot does not pause a second time.
+    // The client that saw the pause stays connected, so that the robot does not pause a second time.
     let witness = RefCell::new(None);
     run.wait("the pause", |run| {
-        // Who looks watches: between two looks the robot has more than its 0.3 s alone.
+        // A client that looks counts as a watcher, so that the robot is left alone for longer than 0.3 s between two looks.
         let mut clock = MonotonicClock;
         clock.sleep_until_ns(clock.now_ns() + 1_000_000_000);
         let mut visitor = Visitor::come(&run.socket());
