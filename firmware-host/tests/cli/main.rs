@@ -1,6 +1,7 @@
 //! Runs the binary as a user does, and checks its outputs, files and exit codes.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
+mod init;
 mod recordings;
 mod refusals;
 
@@ -8,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use assert_cmd::Command;
-use firmware_host::replay::rewrite;
 use hal::Clock;
 use tempfile::TempDir;
 

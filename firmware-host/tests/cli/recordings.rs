@@ -1,5 +1,7 @@
 //! Recordings of runs: they are replayed, cut, damaged and killed.
 
+use firmware_host::replay::rewrite;
+
 use super::*;
 
 #[test]

@@ -1,20 +1,6 @@
 //! `firmware-host init` without devices: its refusals, its files of answers, and the file that it replaces.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
-use std::process::Output;
-
-use assert_cmd::Command;
-use tempfile::TempDir;
-
-const SMALL: &str = "[camera]\nwidth = 160\nheight = 64\n";
-
-fn firmware_host(args: &[&str]) -> Output {
-    Command::cargo_bin("firmware-host").unwrap().args(args).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
+use super::*;
 
 #[test]
 fn init_asks_no_questions_when_its_input_is_not_a_terminal_and_names_the_way_out() {
