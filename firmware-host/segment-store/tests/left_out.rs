@@ -89,7 +89,7 @@ fn segments_that_are_missing_between_others_are_known() {
     assert_eq!(gaps(), ["monday/recording_0001.mcap"]);
     fs::rename(&segments[2], dir.path().join("monday/recording_10000.mcap")).unwrap();
     assert_eq!(gaps(), ["monday/recording_0001.mcap to recording_9999.mcap"]);
-    // The robot deletes the oldest segments first, so that a run without its first ones is no gap.
+    // The robot deletes the oldest segments first: a run that lacks its first segments has no gap.
     fs::remove_file(&segments[0]).unwrap();
     assert!(gaps().is_empty());
 }

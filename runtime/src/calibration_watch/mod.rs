@@ -110,7 +110,7 @@ pub struct Change {
 /// Least noise of equations whose errors are independent, as a share of the stated one.
 const LEAST_NOISE: f64 = 0.05;
 /// Noise of the camera's yaw, as a share of the stated one. On a straight line the image motion of the same few things gives the same
-/// error in every frame, so that the noise from block to block does not show it: over 8 m it was 0.4 to 3.4 in 15 simulated drives
+/// error in every frame, so that the noise from block to block does not show it: over eight blocks it was 0.4 to 3.4 in 15 simulated drives
 /// (docs/calibration.md).
 const YAW_NOISE: f64 = 3.0;
 
