@@ -38,7 +38,7 @@ pub fn serve(
         output,
         buffer: Vec::new(),
         sent: BTreeMap::new(),
-        is_welcome: false,
+        version: None,
     };
     let mut body = Vec::new();
     loop {
@@ -67,8 +67,8 @@ struct Session<'a> {
     output: &'a mut dyn Write,
     buffer: Vec<u8>,
     sent: BTreeMap<Name, Sent>,
-    /// The workstation has sent its greeting, and there is a common protocol version.
-    is_welcome: bool,
+    /// The protocol version, once the workstation has sent its greeting and if there is a common one.
+    version: Option<u16>,
 }
 
 impl Session<'_> {
@@ -85,14 +85,14 @@ impl Session<'_> {
         match request {
             Request::Hello { versions } => {
                 let version = common_version(versions);
-                self.is_welcome = version.is_some();
+                self.version = version;
                 match version {
                     Some(version) => self.reply(&Reply::Welcome { version })?,
                     None => self.reply(&Reply::Refused(version_refusal(versions)))?,
                 }
-                return Ok(self.is_welcome);
+                return Ok(version.is_some());
             }
-            _ if !self.is_welcome => {
+            _ if self.version.is_none() => {
                 self.refuse(RefusalKind::Malformed, "a request before the greeting".to_owned())?;
                 return Ok(false);
             }
@@ -109,6 +109,12 @@ impl Session<'_> {
             Ok(catalogue) => {
                 for entry in catalogue.entries {
                     self.reply(&Reply::Entry(entry))?;
+                }
+                // A workstation with an earlier version does not know this reply.
+                if self.version >= Some(3) {
+                    for unread in catalogue.unread {
+                        self.reply(&Reply::Unread(unread.to_string()))?;
+                    }
                 }
                 self.reply(&Reply::ListEnd)
             }

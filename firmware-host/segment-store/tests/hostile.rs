@@ -10,6 +10,7 @@ mod common;
 
 use std::fs;
 use std::io::{Cursor, Read, Write};
+use std::os::unix::fs::symlink;
 
 use common::{pull_into, robot};
 use proptest::prelude::*;
@@ -94,7 +95,7 @@ const HELLO: Request = Request::Hello { versions: (1, 1) };
 #[test]
 fn a_robot_reports_its_processor_and_an_older_one_is_not_asked() {
     let dir = tempdir().unwrap();
-    let asked = requests(&[Request::Hello { versions: (1, 2) }, Request::CpuFeatures]);
+    let asked = requests(&[Request::Hello { versions: (1, 3) }, Request::CpuFeatures]);
     let answer = served(&Root::open(dir.path()).unwrap(), &asked);
     let mut output = Vec::new();
     let mut remote = Remote::greet("robot", Cursor::new(answer), &mut output, 1).unwrap();
@@ -106,7 +107,34 @@ fn a_robot_reports_its_processor_and_an_older_one_is_not_asked() {
         Remote::greet("robot", Cursor::new(older), &mut output, 1).unwrap().cpu_features().unwrap(),
         None
     );
-    assert_eq!(output, requests(&[Request::Hello { versions: (1, 2) }]));
+    assert_eq!(output, requests(&[Request::Hello { versions: (1, 3) }]));
+}
+
+#[test]
+fn an_older_workstation_is_not_told_what_cannot_be_read_because_it_does_not_know_the_reply() {
+    let dir = tempdir().unwrap();
+    robot(dir.path());
+    symlink("recording_0000.mcap", dir.path().join("monday/recording_0009.mcap")).unwrap();
+    let root = Root::open(dir.path()).unwrap();
+    let unread = |newest: u16| {
+        let answer =
+            served(&root, &requests(&[Request::Hello { versions: (1, newest) }, Request::List]));
+        Remote::greet("robot", Cursor::new(answer), Vec::new(), 1).unwrap().list().unwrap().unread
+    };
+    assert_eq!(unread(2), [""; 0]);
+    let [said] = unread(3).try_into().unwrap();
+    assert!(said.contains("monday/recording_0009.mcap: it is a symbolic link"), "{said}");
+}
+
+#[test]
+fn what_a_hostile_robot_cannot_read_controls_no_terminal() {
+    let replies = [
+        Reply::Welcome { version: 3 },
+        Reply::Unread("\x1b]0;title\x07cannot read".to_owned()),
+        Reply::ListEnd,
+    ];
+    let mut remote = Remote::greet("robot", Cursor::new(frames(&replies)), Vec::new(), 1).unwrap();
+    assert_eq!(remote.list().unwrap().unread, ["]0;titlecannot read"]);
 }
 
 #[test]
@@ -126,7 +154,7 @@ fn sizes_that_overflow_their_sum_do_not_stop_a_pull() {
 fn a_workstation_with_another_protocol_version_is_refused_with_a_way_out() {
     let dir = tempdir().unwrap();
     let root = Root::open(dir.path()).unwrap();
-    for versions in [(3, 4), (0, 0), (900, 901), (3, 2)] {
+    for versions in [(4, 5), (0, 0), (900, 901), (3, 2)] {
         let refusal =
             refusal(&served(&root, &requests(&[Request::Hello { versions }, Request::List])))
                 .unwrap();
@@ -303,8 +331,9 @@ proptest! {
             pulled: if flags[0] { Pulled::Yes(digest) } else { Pulled::Stale },
         };
         let cpu = Reply::CpuFeatures(CpuFeatures { aes: flags[1] });
+        let unread = Reply::Unread(format!("cannot read {}", entry.name));
         let data = Reply::Data { at: bytes, bytes: &data };
-        for reply in [Reply::Entry(entry), data, Reply::End { digest }, Reply::Marked, cpu] {
+        for reply in [Reply::Entry(entry), unread, data, Reply::End { digest }, Reply::Marked, cpu] {
             let mut body = Vec::new();
             let kind = reply.encode(&mut body);
             prop_assert_eq!(Reply::decode(kind, &body), Ok(reply));

@@ -39,6 +39,24 @@ fn all_segments_are_pulled_and_marked_on_the_robot() {
 }
 
 #[test]
+fn what_cannot_be_read_at_the_source_is_reported_and_the_others_are_pulled() {
+    for is_local in [false, true] {
+        let there = tempdir().unwrap();
+        let here = tempdir().unwrap();
+        robot(there.path());
+        symlink("recording_0000.mcap", there.path().join("monday/recording_0009.mcap")).unwrap();
+        let mut source: Box<dyn Source> = match is_local {
+            true => Box::new(Directory::open(there.path()).unwrap()),
+            false => Box::new(connect(there.path())),
+        };
+        let report = pull_into(source.as_mut(), here.path(), Options::default()).unwrap();
+        assert_eq!(report.files, FILES.len() as u64);
+        let [said] = report.unread.try_into().unwrap();
+        assert!(said.contains("monday/recording_0009.mcap: it is a symbolic link"), "{said}");
+    }
+}
+
+#[test]
 fn pulled_recordings_are_for_the_account_that_pulls_only() {
     let there = tempdir().unwrap();
     let here = tempdir().unwrap();

@@ -31,8 +31,8 @@ pub fn buffer_wire(bytes: &[u8]) {
     }
     if let Ok(mut remote) = Remote::greet("fuzz", Cursor::new(bytes), Vec::new(), 1) {
         let _ = remote.cpu_features();
-        while let Ok(entries) = remote.list() {
-            for entry in &entries {
+        while let Ok(listing) = remote.list() {
+            for entry in &listing.entries {
                 let name = entry.name.as_str();
                 assert!(
                     !name.starts_with('/') && name.split('/').all(|part| part != ".."),

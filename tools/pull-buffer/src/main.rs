@@ -119,7 +119,7 @@ fn follow(robot: &mut Robot<'_>, options: &Options, display: &Display) -> u8 {
             (Outcome { error: Some(error), .. }, true) if error.kind() == ErrorKind::Disk => {
                 return FAILED;
             }
-            (_, false) => return 0,
+            (_, false) => return if outcome.report.unread.is_empty() { 0 } else { FAILED },
             (_, true) => {
                 let deadline_ns = clock.now_ns() + options.every_s * 1_000_000_000;
                 clock.sleep_until_ns(deadline_ns);

@@ -15,8 +15,8 @@ use segment_store::source::is_store;
 /// An interrupted transfer resumes at the byte where it stopped. Every segment is verified by its digest, and segments that are
 /// already in DEST are not read again.
 ///
-/// Exit codes: 0 all segments are in DEST; 1 an error that needs attention; 2 invalid arguments; 75 only the link failed, and the
-/// same command resumes the transfer.
+/// Exit codes: 0 all segments are in DEST; 1 an error that needs attention, or segments that the source cannot read; 2 invalid
+/// arguments; 75 only the link failed, and the same command resumes the transfer.
 #[derive(Debug, Parser)]
 #[command(name = "pull-buffer", version, override_usage = "pull-buffer [OPTIONS] SOURCE... DEST")]
 pub struct Options {

@@ -43,7 +43,7 @@ impl Display {
             let line = json!({
                 "event": "pulled", "source": spec.name, "place": spec.location.to_string(), "files": report.files,
                 "bytes": report.bytes, "there": report.there, "open": report.open, "cut": report.cut,
-                "unmarked": report.unmarked, "exported": exported,
+                "unmarked": report.unmarked, "unread": report.unread, "exported": exported,
                 "error": error.as_ref().map(ToString::to_string),
             });
             print_line(&line);
@@ -58,6 +58,7 @@ impl Display {
             (report.open, "still being written"),
             (report.cut, "cut off: repair them with firmware-host buffer recover"),
             (report.unmarked, "not marked as pulled on the robot"),
+            (report.unread.len() as u64, "not readable"),
             (*exported, "exported"),
         ];
         words.extend(
@@ -66,7 +67,7 @@ impl Display {
                 .filter(|(count, _)| *count > 0)
                 .map(|(count, what)| format!("{count} {what}")),
         );
-        if report.files + report.there + report.open == 0 {
+        if report.files + report.there + report.open == 0 && report.unread.is_empty() {
             words = vec![format!("no recordings in {} yet", spec.location)];
         }
         match error {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use hal::Clock;
 use monotonic_clock::MonotonicClock;
-use segment_store::pull::{Destination, FileSystem, Report, pull};
+use segment_store::pull::{Destination, FileSystem, Progress, Report, pull};
 use segment_store::source::{Directory, Location, Source, Spec, Ssh, SshOptions};
 use segment_store::{ErrorKind, StoreError};
 
@@ -33,11 +33,21 @@ pub struct Robot<'a> {
     reached: bool,
     /// The link broke. The reason may be a shared connection that an earlier call left open, so the next one is not shared.
     broke: bool,
+    /// What the source could not read at the last pull. With --follow, it is reported once.
+    unread: Vec<String>,
 }
 
 impl<'a> Robot<'a> {
     pub fn new(spec: &'a Spec, options: &'a Options) -> Self {
-        Self { spec, options, source: None, store: None, reached: false, broke: false }
+        Self {
+            spec,
+            options,
+            source: None,
+            store: None,
+            reached: false,
+            broke: false,
+            unread: Vec::new(),
+        }
     }
 
     pub fn spec(&self) -> &Spec {
@@ -59,6 +69,7 @@ impl<'a> Robot<'a> {
             let error = match self.pull_once(&mut bar, clock) {
                 Ok(report) => {
                     outcome.report = add(outcome.report, report);
+                    self.warn_of_unread(&outcome.report.unread, &mut bar);
                     break;
                 }
                 Err(error) => error,
@@ -82,6 +93,13 @@ impl<'a> Robot<'a> {
             }
         }
         outcome
+    }
+
+    fn warn_of_unread(&mut self, unread: &[String], bar: &mut Bar) {
+        for why in unread.iter().filter(|why| !self.unread.contains(why)) {
+            bar.warning(&format!("not pulled: {why}"));
+        }
+        self.unread = unread.to_vec();
     }
 
     fn pull_once(

@@ -7,6 +7,7 @@
 )]
 
 use std::fs;
+use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -59,6 +60,26 @@ fn two_robots_are_pulled_in_parallel_into_their_own_directories() {
             fs::read(dir.path().join("all").join(name).join("run/recording_0000.mcap")).unwrap();
         assert!(here == segment());
     }
+}
+
+#[test]
+fn a_segment_that_cannot_be_read_is_named_and_the_exit_code_is_1() {
+    let dir = tempdir().unwrap();
+    let run = dir.path().join("kitchen/run");
+    fs::create_dir_all(&run).unwrap();
+    fs::write(run.join("recording_0000.mcap"), segment()).unwrap();
+    symlink("recording_0000.mcap", run.join("recording_0001.mcap")).unwrap();
+    let output = pull(&["kitchen", "here", "--json"], dir.path());
+    let said = stderr_of(&output);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    let warning =
+        "warning: not pulled: cannot read kitchen/run/recording_0001.mcap: it is a symbolic link";
+    assert!(said.contains(warning), "{said}");
+    assert!(said.contains("1 new") && said.contains("1 not readable"), "{said}");
+    let last = String::from_utf8_lossy(&output.stdout).lines().last().unwrap().to_owned();
+    let pulled: serde_json::Value = serde_json::from_str(&last).unwrap();
+    assert_eq!(pulled["unread"].as_array().map(Vec::len), Some(1), "{last}");
+    assert!(dir.path().join("here/kitchen/run/recording_0000.mcap").exists());
 }
 
 #[test]

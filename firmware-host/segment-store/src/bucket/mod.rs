@@ -28,9 +28,9 @@ use tokio::runtime::Runtime;
 
 use object::{InspectedSegment, ObjectVersion, SegmentObjects};
 
-use crate::source::Source;
+use crate::source::{Listing, Source};
 use crate::wire::{Refusal, RefusalKind};
-use crate::{Catalogue, Digest, Entry, FileSink, LocalCopy, Name, PULLED, Pulled, StoreError};
+use crate::{Catalogue, Digest, FileSink, LocalCopy, Name, PULLED, Pulled, StoreError};
 
 /// A prefix with more objects of segments is refused, because their names would fill the memory. One robot makes 10 million of
 /// them in six years (400,000 in 92 days).
@@ -149,7 +149,7 @@ fn too_many() -> String {
 }
 
 impl Source for Bucket {
-    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
+    fn list(&mut self) -> Result<Listing, StoreError> {
         let objects = self.list_objects()?;
         let mut known = std::mem::take(&mut self.inspected);
         let mut new = Vec::new();
@@ -175,7 +175,7 @@ impl Source for Bucket {
             .duration_since(SystemTime::UNIX_EPOCH)
             .map_or(0, |d| d.as_nanos() as u64);
         let entries = self.inspected.values().map(|segment| segment.entry.clone()).collect();
-        Ok(Catalogue::new(entries, now_ns).entries)
+        Ok(Listing { entries: Catalogue::new(entries, now_ns).entries, unread: Vec::new() })
     }
 
     fn fetch(

@@ -32,7 +32,9 @@ impl Bucket {
         progress: &mut dyn Progress,
     ) -> Result<Report, StoreError> {
         let mut report = Report::default();
-        let missing = self.missing(source.list()?, options, progress, &mut report)?;
+        let listing = source.list()?;
+        report.unread = listing.unread;
+        let missing = self.missing(listing.entries, options, progress, &mut report)?;
         source.expect(missing.iter().map(|entry| entry.bytes).fold(0, u64::saturating_add));
         let mut limiter = RateLimiter::new(clock, options.limit);
         for entry in missing {

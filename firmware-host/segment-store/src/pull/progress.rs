@@ -30,8 +30,8 @@ pub trait Progress {
 /// Ignores all progress.
 impl Progress for () {}
 
-/// The counts of a pull that has ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+/// The result of a pull that has ended.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Report {
     /// Files that this pull completed.
     pub files: u64,
@@ -45,4 +45,6 @@ pub struct Report {
     pub cut: u64,
     /// Segments for which the robot could not write the `.pulled` marker.
     pub unmarked: u64,
+    /// Sentences about the segments and directories that cannot be read at the source and are therefore not pulled.
+    pub unread: Vec<String>,
 }

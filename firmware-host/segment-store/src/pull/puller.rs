@@ -143,7 +143,9 @@ impl Puller<'_, '_> {
         let mut missing = Vec::new();
         let mut bytes: u64 = 0;
         let mut done_bytes: u64 = 0;
-        for entry in self.source.list()? {
+        let listing = self.source.list()?;
+        self.report.unread = listing.unread;
+        for entry in listing.entries {
             if entry.state == State::Open || entry.bytes == 0 {
                 self.report.open += u64::from(entry.state == State::Open);
                 continue;

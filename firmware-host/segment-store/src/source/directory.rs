@@ -2,10 +2,9 @@
 
 use std::path::Path;
 
-use super::interface::Source;
+use super::interface::{Listing, Source};
 use crate::catalogue::Catalogue;
 use crate::digest::Digest;
-use crate::entry::Entry;
 use crate::error::StoreError;
 use crate::name::Name;
 use crate::root::Root;
@@ -36,8 +35,10 @@ impl Directory {
 }
 
 impl Source for Directory {
-    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
-        Ok(Catalogue::read(&self.root)?.entries)
+    fn list(&mut self) -> Result<Listing, StoreError> {
+        let catalogue = Catalogue::read(&self.root)?;
+        let unread = catalogue.unread.iter().map(ToString::to_string).collect();
+        Ok(Listing { entries: catalogue.entries, unread })
     }
 
     fn fetch(

@@ -6,13 +6,21 @@ use crate::error::StoreError;
 use crate::name::Name;
 use crate::transfer::{FileSink, LocalCopy};
 
+/// What a store contains.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Listing {
+    pub entries: Vec<Entry>,
+    /// Sentences about the segments and directories that the store's owner cannot read. They are not among the entries.
+    pub unread: Vec<String>,
+}
+
 /// A store that segments are pulled from.
 pub trait Source: Send {
     /// Lists the segments.
     ///
     /// # Errors
     /// When the store cannot be read or reached.
-    fn list(&mut self) -> Result<Vec<Entry>, StoreError>;
+    fn list(&mut self) -> Result<Listing, StoreError>;
 
     /// Announces that about this many bytes will be fetched, so that the source can choose how to transfer them.
     fn expect(&mut self, bytes: u64) {

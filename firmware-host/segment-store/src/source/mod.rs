@@ -8,7 +8,7 @@ mod ssh;
 mod ssh_config;
 
 pub use directory::Directory;
-pub use interface::Source;
+pub use interface::{Listing, Source};
 pub use remote::Remote;
 pub use spec::{Location, Spec, is_store};
 pub use ssh::{Ssh, SshOptions};

@@ -2,10 +2,9 @@
 
 use std::io::{self, ErrorKind, Read, Write};
 
-use super::interface::Source;
+use super::interface::{Listing, Source};
 use crate::cpu_features::CpuFeatures;
 use crate::digest::Digest;
-use crate::entry::Entry;
 use crate::error::StoreError;
 use crate::name::Name;
 use crate::transfer::{FileSink, LocalCopy};
@@ -137,14 +136,16 @@ fn unexpected(from: &str, reply: &Reply<'_>) -> StoreError {
 }
 
 impl<R: Read + Send, W: Write + Send> Source for Remote<R, W> {
-    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
+    fn list(&mut self) -> Result<Listing, StoreError> {
         self.send(&Request::List)?;
         let from = self.from.clone();
-        let mut entries = Vec::new();
+        let mut listing = Listing::default();
         loop {
+            let is_full = listing.entries.len() + listing.unread.len() >= MAX_ENTRIES;
             match self.reply()? {
-                Reply::Entry(entry) if entries.len() < MAX_ENTRIES => entries.push(entry),
-                Reply::ListEnd => return Ok(entries),
+                Reply::Entry(entry) if !is_full => listing.entries.push(entry),
+                Reply::Unread(why) if !is_full => listing.unread.push(why),
+                Reply::ListEnd => return Ok(listing),
                 other => return Err(unexpected(&from, &other)),
             }
         }

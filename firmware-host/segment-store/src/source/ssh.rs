@@ -7,12 +7,11 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-use super::interface::Source;
+use super::interface::{Listing, Source};
 use super::remote::Remote;
 use super::ssh_config::SshConfig;
 use crate::cpu_features::CpuFeatures;
 use crate::digest::Digest;
-use crate::entry::Entry;
 use crate::error::StoreError;
 use crate::name::Name;
 use crate::transfer::{FileSink, LocalCopy};
@@ -178,7 +177,7 @@ impl Drop for Ssh {
 }
 
 impl Source for Ssh {
-    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
+    fn list(&mut self) -> Result<Listing, StoreError> {
         self.remote()?.list()
     }
 

@@ -7,7 +7,7 @@
 //! | request | replies |
 //! |---|---|
 //! | `Hello` lowest and highest version | `Welcome` version, or `Refused` |
-//! | `List` | `Entry` for each segment, then `ListEnd` |
+//! | `List` | `Entry` for each segment, from version 3 on `Unread` for each one that cannot be read, then `ListEnd` |
 //! | `Fetch` name, length and digest of the local copy | `Comparing`..., `Start` from, length, `Data`..., `End` digest |
 //! | `Mark` name, digest | `Marked` |
 //! | `CpuFeatures`, from version 2 on | `CpuFeatures`: AES in hardware or not |
@@ -24,7 +24,7 @@ pub use reply::{Refusal, RefusalKind, Reply};
 pub use request::Request;
 
 /// The protocol versions that this program supports.
-pub const VERSIONS: std::ops::RangeInclusive<u16> = 1..=2;
+pub const VERSIONS: std::ops::RangeInclusive<u16> = 1..=3;
 
 /// The highest version that both sides support, if there is one.
 #[must_use]

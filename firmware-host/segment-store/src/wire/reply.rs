@@ -10,7 +10,7 @@ use crate::entry::{Entry, Pulled, State, Times};
 use crate::fields::Fields;
 use crate::name::Name;
 
-/// At most this many bytes of a refusal's text are sent, and this many characters shown.
+/// At most this many bytes of a text are sent, and this many characters of it shown.
 const MAX_TEXT: usize = 2000;
 
 /// Why a robot refuses a request.
@@ -46,13 +46,13 @@ impl Refusal {
 
 impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // The text comes from the peer: control characters must not reach the terminal.
-        self.text
-            .chars()
-            .filter(|c| !c.is_control())
-            .take(MAX_TEXT)
-            .try_for_each(|c| write!(f, "{c}"))
+        f.write_str(&printable(&self.text))
     }
+}
+
+/// The text of a peer without control characters, which must not reach the terminal.
+fn printable(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).take(MAX_TEXT).collect()
 }
 
 /// A message from the robot to the workstation.
@@ -65,6 +65,8 @@ pub enum Reply<'a> {
     Refused(Refusal),
     /// One segment of the store.
     Entry(Entry),
+    /// Why a segment or a directory of the store is not in the list; from version 3 on.
+    Unread(String),
     /// The end of the list of segments.
     ListEnd,
     /// The robot is still comparing the workstation's copy with its file.
@@ -103,11 +105,7 @@ impl<'a> Reply<'a> {
             }
             Self::Refused(refusal) => {
                 body.push(refusal.kind as u8);
-                let mut end = refusal.text.len().min(MAX_TEXT);
-                while !refusal.text.is_char_boundary(end) {
-                    end -= 1;
-                }
-                body.extend_from_slice(refusal.text.get(..end).unwrap_or_default().as_bytes());
+                encode_text(&refusal.text, body);
                 129
             }
             Self::Entry(entry) => {
@@ -134,6 +132,10 @@ impl<'a> Reply<'a> {
             Self::CpuFeatures(cpu) => {
                 body.push(u8::from(cpu.aes));
                 137
+            }
+            Self::Unread(why) => {
+                encode_text(why, body);
+                138
             }
         }
     }
@@ -162,6 +164,7 @@ impl<'a> Reply<'a> {
                 .u8()
                 .filter(|aes| *aes <= 1)
                 .map(|aes| Self::CpuFeatures(CpuFeatures { aes: aes == 1 })),
+            138 => decode_text(&mut fields).map(|why| Self::Unread(printable(why))),
             _ => return Err(WireError::Malformed("a reply of unknown kind")),
         };
         reply
@@ -175,7 +178,7 @@ impl<'a> Reply<'a> {
         match self {
             Self::Welcome { .. } => "a greeting",
             Self::Refused(_) => "a refusal",
-            Self::Entry(_) | Self::ListEnd => "a list",
+            Self::Entry(_) | Self::Unread(_) | Self::ListEnd => "a list",
             Self::Comparing | Self::Start { .. } => "the start of a file",
             Self::Data { .. } => "data",
             Self::End { .. } => "the end of a file",
@@ -191,8 +194,22 @@ fn decode_refusal(fields: &mut Fields<'_>) -> Option<Refusal> {
     let kind = [Version, Malformed, NotThere, Changed, Disk]
         .into_iter()
         .find(|kind| *kind as u8 == number)?;
-    let text = std::str::from_utf8(fields.rest()).ok()?.to_owned();
+    let text = decode_text(fields)?.to_owned();
     Some(Refusal { kind, text })
+}
+
+/// Appends the beginning of a text that has at most [`MAX_TEXT`] bytes.
+fn encode_text(text: &str, body: &mut Vec<u8>) {
+    let mut end = text.len().min(MAX_TEXT);
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    body.extend_from_slice(text.get(..end).unwrap_or_default().as_bytes());
+}
+
+/// The remaining bytes as a text.
+fn decode_text<'a>(fields: &mut Fields<'a>) -> Option<&'a str> {
+    std::str::from_utf8(fields.rest()).ok()
 }
 
 const HAS_TIMES: u8 = 1;

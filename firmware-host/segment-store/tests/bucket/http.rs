@@ -295,12 +295,12 @@ fn a_store_that_ignores_if_match_cannot_mix_versions() {
     let server =
         Server::start(Fault::None, &[("kitchen/run/recording_0000.mcap", segment(1, SMALL, 100))]);
     let mut bucket = server.bucket();
-    let name = bucket.list().unwrap()[0].name.clone();
+    let name = bucket.list().unwrap().entries[0].name.clone();
     server.state.lock().unwrap().fault = Fault::OtherVersions;
     let error = bucket.fetch(&name, LocalCopy::none(), &mut RefuseData).unwrap_err();
     assert!(error.to_string().contains("was replaced or removed while it was read"), "{error}");
     assert!(
-        bucket.list().unwrap().is_empty(),
+        bucket.list().unwrap().entries.is_empty(),
         "an object that changes while it is inspected is not listed"
     );
 }

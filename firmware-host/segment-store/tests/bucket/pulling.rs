@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::common::{Fleet, Noise, ProgressHook, SMALL, pull_into, pull_with_progress, segment};
 use object_store::memory::InMemory;
 use segment_store::pull::{Options, Order};
-use segment_store::source::Source;
+use segment_store::source::{Listing, Source};
 use segment_store::{Digest, ErrorKind, FileSink, LocalCopy, Name, Pulled, State, StoreError};
 use tempfile::tempdir;
 
@@ -25,7 +25,7 @@ fn all_segments_under_a_prefix_are_pulled_and_marked() {
         ] {
             assert!(fs::read(here.path().join(name)).unwrap() == fleet.get(name), "{name} differs");
         }
-        for entry in fleet.bucket().list().unwrap() {
+        for entry in fleet.bucket().list().unwrap().entries {
             assert_eq!(
                 entry.pulled,
                 Pulled::Yes(Digest::of(&fleet.get(entry.name.as_str()))),
@@ -160,7 +160,7 @@ impl FileSink<StoreError> for Short<'_, '_> {
 }
 
 impl Source for CutShort<'_> {
-    fn list(&mut self) -> Result<Vec<segment_store::Entry>, StoreError> {
+    fn list(&mut self) -> Result<Listing, StoreError> {
         self.bucket.list()
     }
     fn fetch(
@@ -288,7 +288,7 @@ fn a_cut_segment_is_pulled_and_later_replaced_by_its_complete_version() {
 fn an_unusually_long_index_is_read() {
     let fleet = Fleet::in_memory();
     fleet.put("recording_0000.mcap", &crate::common::segment_with_channels(1, SMALL, 100, 4000));
-    let entries = fleet.bucket().list().unwrap();
+    let entries = fleet.bucket().list().unwrap().entries;
     assert_eq!((entries[0].state, entries[0].ticks), (State::Closed, Some(SMALL)));
 }
 
@@ -334,7 +334,7 @@ fn a_segment_behind_half_a_million_objects_is_listed() {
     fleet.put("notes/readme.txt", b"not a segment");
     fleet.put("zoo/recording_0000.mcap", &segment(5, SMALL, 100));
     let listed: Vec<String> =
-        fleet.bucket().list().unwrap().iter().map(|entry| entry.name.to_string()).collect();
+        fleet.bucket().list().unwrap().entries.iter().map(|entry| entry.name.to_string()).collect();
     assert_eq!(listed, ["zoo/recording_0000.mcap"]);
 }
 
@@ -345,5 +345,5 @@ fn an_empty_prefix_is_an_empty_store() {
         "nothing".into(),
         "memory:///nothing",
     );
-    assert!(bucket.unwrap().list().unwrap().is_empty());
+    assert!(bucket.unwrap().list().unwrap().entries.is_empty());
 }

@@ -6,8 +6,8 @@ use std::path::Path;
 use crate::common::{Fleet, ProgressHook, SMALL, pull_into, segment};
 use hal::VirtualClock;
 use segment_store::pull::{Options, Progress, Report};
-use segment_store::source::{Directory, Source};
-use segment_store::{Digest, Entry, ErrorKind, FileSink, LocalCopy, Name, StoreError};
+use segment_store::source::{Directory, Listing, Source};
+use segment_store::{Digest, ErrorKind, FileSink, LocalCopy, Name, StoreError};
 use tempfile::{TempDir, tempdir};
 
 const NAMES: [&str; 3] =
@@ -115,7 +115,7 @@ struct Fetches {
 }
 
 impl Source for Fetches {
-    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
+    fn list(&mut self) -> Result<Listing, StoreError> {
         self.robot.list()
     }
     fn fetch(
@@ -254,7 +254,7 @@ impl FileSink<StoreError> for Ends<'_> {
 }
 
 impl Source for EndsAfter {
-    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
+    fn list(&mut self) -> Result<Listing, StoreError> {
         self.robot.list()
     }
     fn fetch(
@@ -317,7 +317,7 @@ struct Liar {
 }
 
 impl Source for Liar {
-    fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
+    fn list(&mut self) -> Result<Listing, StoreError> {
         self.robot.list()
     }
     fn fetch(
