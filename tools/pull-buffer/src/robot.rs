@@ -68,7 +68,7 @@ impl<'a> Robot<'a> {
         loop {
             let error = match self.pull_once(&mut bar, clock) {
                 Ok(report) => {
-                    outcome.report = add(outcome.report, report);
+                    outcome.report = add(&outcome.report, report);
                     self.warn_of_unread(&outcome.report.unread, &mut bar);
                     break;
                 }
@@ -200,7 +200,7 @@ impl Layout {
     }
 }
 
-fn add(a: Report, b: Report) -> Report {
+fn add(a: &Report, b: Report) -> Report {
     Report {
         files: a.files + b.files,
         bytes: a.bytes + b.bytes,
