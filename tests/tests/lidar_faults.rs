@@ -215,6 +215,19 @@ fn a_scanner_whose_clock_jumped_is_set_up_again() {
 }
 
 #[test]
+fn single_wrong_time_stamps_are_bad_scans_and_the_scanner_is_not_set_up_again() {
+    let mut bench = bench(Model::Utm30lx);
+    bench.until_scan();
+    // Two of three are right: three wrong ones in a row mean a restart.
+    bench.device.set_wrong_stamp_every(3);
+    let monitor = bench.monitor.clone();
+    bench.until("ten wrong time stamps", |_| monitor.status().bad >= 10);
+    bench.until_scan();
+    let status = monitor.status();
+    assert!(status.good > 10 && status.reopened == 0, "{status:?}");
+}
+
+#[test]
 fn a_laser_that_cannot_be_switched_on_is_a_hardware_fault() {
     let room = Box::new(Room::new(Model::Utm30lx));
     let broken = |device: &SimulatedHokuyo| device.set_health(Health::LaserBroken);

@@ -400,4 +400,20 @@ mod tests {
         assert!(thread.shut_down().is_some());
         assert!(!thread.is_alive());
     }
+
+    #[test]
+    fn a_priority_that_the_system_refuses_is_not_reported_as_granted() {
+        use rustix::process::{Resource, Rlimit, setrlimit};
+        use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
+
+        // Linux grants it to those who may set priorities, and up to the process's limit.
+        setrlimit(Resource::Rtprio, Rlimit { current: Some(0), maximum: Some(0) }).unwrap();
+        let mut sets = capabilities(None).unwrap();
+        sets.effective.remove(CapabilitySet::SYS_NICE);
+        set_capabilities(None, sets).unwrap();
+        assert!(!become_realtime(40));
+        // Memory may be locked all the same.
+        let policy = thread_priority::thread_schedule_policy_param(thread_native_id()).unwrap().0;
+        assert!(!matches!(policy, ThreadSchedulePolicy::Realtime(_)), "{policy:?}");
+    }
 }

@@ -26,6 +26,8 @@ pub struct Sensor {
     pub health: Health,
     /// Rate error of its clock, parts per million.
     pub clock_ppm: f64,
+    /// Every scan of this number has a time stamp that is half of the clock's range off; 0 means none.
+    pub wrong_stamp_every: u32,
     in_scip_1: bool,
     in_time_mode: bool,
     laser_on: bool,
@@ -68,6 +70,7 @@ impl Sensor {
             source,
             health: Health::Well,
             clock_ppm: 0.0,
+            wrong_stamp_every: 0,
             in_scip_1: model.spec().starts_in_scip_1,
             in_time_mode: false,
             laser_on: false,
@@ -136,7 +139,7 @@ impl Sensor {
             Health::LaserOff | Health::LaserBroken => line(out, b"10"),
             Health::Well | Health::Blind => {
                 line(out, b"99");
-                self.scan(begin_ns, stream.layout, out);
+                self.scan(begin_ns, &stream, out);
                 if stream.scans == 0 || left > 0 {
                     self.stream = Some(stream);
                 }
@@ -145,9 +148,14 @@ impl Sensor {
         out.push(b'\n');
     }
 
-    fn scan(&mut self, begin_ns: u64, layout: Layout, out: &mut Vec<u8>) {
+    fn scan(&mut self, begin_ns: u64, stream: &Stream, out: &mut Vec<u8>) {
+        let layout = stream.layout;
+        let mut stamp_ms = self.clock_ms(begin_ns);
+        if self.wrong_stamp_every > 0 && stream.sent % self.wrong_stamp_every == 0 {
+            stamp_ms ^= 1 << 23;
+        }
         let mut stamp = Vec::new();
-        number(&mut stamp, self.clock_ms(begin_ns), 4);
+        number(&mut stamp, stamp_ms, 4);
         line(out, &stamp);
         self.source.ranges_mm(begin_ns, &mut self.ranges_mm);
         let ModelSpec { first_step, codes, .. } = self.model.spec();

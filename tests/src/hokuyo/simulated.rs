@@ -119,6 +119,11 @@ impl SimulatedHokuyo {
         self.state().sensor.clock_ppm = ppm;
     }
 
+    /// Gives every scan of this number a wrong time stamp; 0 ends it.
+    pub fn set_wrong_stamp_every(&self, scans: u32) {
+        self.state().sensor.wrong_stamp_every = scans;
+    }
+
     /// Sets the only bit rate at which the scanner communicates.
     pub fn set_baud(&self, baud: u32) {
         self.state().baud = Some(baud);
