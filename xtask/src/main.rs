@@ -27,9 +27,11 @@ mod peers;
 mod policies;
 mod python;
 mod quality;
+mod real_time;
 mod rig;
 mod safety_alone;
 mod shards;
+mod stairs;
 mod tables;
 mod test;
 mod trainer;
@@ -111,6 +113,16 @@ enum Chore {
         #[arg(long, default_value_t = 2)]
         seeds: u64,
         /// Write the table to docs/data/policies.json and docs/policies.md.
+        #[arg(long)]
+        update: bool,
+    },
+    /// Explore ten homes with stairs down with two camera mounts, and print how often the robot came near an edge. Takes a quarter
+    /// of an hour on two cores.
+    Stairs {
+        /// Number of camera frames of each run.
+        #[arg(long, default_value_t = 3000)]
+        frames: u64,
+        /// Write the table to docs/data/stairs.json and docs/faults.md.
         #[arg(long)]
         update: bool,
     },
@@ -206,6 +218,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
             calibration::run(*robots, *frames, *update)
         }
         Chore::Policies { frames, seeds, update } => policies::run(*frames, *seeds, *update),
+        Chore::Stairs { frames, update } => stairs::run(*frames, *update),
         Chore::Odometry { frames, seeds, scene, update } => {
             odometry::run(*frames, *seeds, scene, *update)
         }

@@ -25,12 +25,16 @@ const COLUMNS: [&str; 11] = [
     "collisions",
 ];
 /// The rows of each home, with the names of their folders: where poses come from, and coarse depth or that of the default network.
-const ROWS: [(&str, &str); 4] = [
+const ROWS: [(&str, &str); 5] = [
     ("wheels and scans", "scans"),
     ("wheels and scans, network", "network"),
+    ("noise of 3 % / 5 %, and scans", "noisy"),
     ("wheels alone", "wheels"),
     ("error-free", "perfect"),
 ];
+
+/// A bad base: of the default errors of odometry, the noise is raised to 3 % of the distance and 5 % of a rotation.
+const NOISY: &str = "[simulator]\nodometry_distance_noise = 0.03\nodometry_turn_noise = 0.05\n";
 
 /// Explores each home with each seed and as each row says. Runs that an earlier call has finished are not repeated. With `update`,
 /// the table goes into docs/data/odometry.json and docs/accuracy.md.
@@ -40,7 +44,9 @@ const ROWS: [(&str, &str); 4] = [
 pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<()> {
     explore::build()?;
     let dir = paths::target().join(format!("odometry/{frames}"));
-    let wheels = wheels_alone(&dir)?;
+    std::fs::create_dir_all(&dir).with_context(|| dir.display().to_string())?;
+    let wheels = configuration(&dir, "wheels", "[localization]\nsource = \"wheels\"\n")?;
+    let noisy = configuration(&dir, "noisy", NOISY)?;
     let network = paths::root().join(demo::MODEL).display().to_string();
     let length =
         |seed: u64| ["--frames".into(), frames.to_string(), "--seed".into(), seed.to_string()];
@@ -57,6 +63,7 @@ pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<(
                 arguments.extend(match folder {
                     "network" => vec!["--model".to_owned(), network.clone()],
                     "wheels" => vec!["--config".to_owned(), wheels.clone()],
+                    "noisy" => vec!["--config".to_owned(), noisy.clone()],
                     "perfect" => vec!["--odometry".to_owned(), "perfect".to_owned()],
                     _ => Vec::new(),
                 });
@@ -87,12 +94,10 @@ pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<(
     Ok(())
 }
 
-/// A configuration without localization.
-fn wheels_alone(dir: &Path) -> Result<String> {
-    std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
-    let file = dir.join("wheels.toml");
-    std::fs::write(&file, "[localization]\nsource = \"wheels\"\n")
-        .with_context(|| file.display().to_string())?;
+/// Writes a configuration and returns its path.
+fn configuration(dir: &Path, name: &str, text: &str) -> Result<String> {
+    let file = dir.join(format!("{name}.toml"));
+    std::fs::write(&file, text).with_context(|| file.display().to_string())?;
     Ok(file.display().to_string())
 }
 

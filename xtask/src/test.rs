@@ -7,7 +7,8 @@ use std::time::Instant;
 use anyhow::{Result, bail, ensure};
 
 use crate::{
-    command, docs, licences, memory_folder, nextest, onnx_runtime, paths, peers, quality, trainer,
+    command, docs, licences, memory_folder, nextest, onnx_runtime, paths, peers, quality,
+    real_time, trainer,
 };
 
 /// Duration of the first run on 2 cores without the trainer, rounded up: build and lints 18 minutes, tests 16, quality 1.5,
@@ -44,6 +45,9 @@ pub enum Outcome {
     Skipped(&'static str),
 }
 
+/// A step's name, result and duration in seconds.
+type Step = (&'static str, (Outcome, f64));
+
 /// Runs all steps, even after one has failed, so that one run shows every failure.
 ///
 /// # Errors
@@ -68,11 +72,6 @@ pub fn run(all: bool) -> Result<()> {
         true => format!("nextest run {TESTED} --no-run"),
         false => format!("test {TESTED} --lib --bins --tests --no-run"),
     };
-    let tests = match (has_nextest, ci) {
-        (true, true) => format!("nextest run {TESTED} --profile ci"),
-        (true, false) => format!("nextest run {TESTED}"),
-        (false, _) => format!("test {TESTED} --lib --bins --tests"),
-    };
     let beside_peers = match has_nextest {
         true => format!(
             "nextest run {TESTED} --run-ignored only -E not(test(lerobots_own_class)|package(pull-buffer)|package(push-model)|binary(live))"
@@ -86,7 +85,15 @@ pub fn run(all: bool) -> Result<()> {
     let mut outcomes = vec![
         ("format", step(command::cargo().args(["fmt", "--all", "--check"]))),
         ("build and lints", step(&mut cargo(&build))),
-        ("tests", step(&mut cargo(&tests))),
+    ];
+    match has_nextest {
+        true => outcomes.extend(tests(&cargo, ci)?),
+        false => {
+            let all = format!("test {TESTED} --lib --bins --tests");
+            outcomes.push(("tests", step(&mut cargo(&all))));
+        }
+    }
+    outcomes.extend([
         ("quality of depth and map", quality()),
         (
             "tests beside other people's software",
@@ -111,13 +118,27 @@ pub fn run(all: bool) -> Result<()> {
             "documentation site",
             if all || ci { timed(docs::run) } else { (Outcome::Skipped(NO_SITE), 0.0) },
         ),
-    ];
+    ]);
     outcomes.extend(without_ssh(ci).map(|outcome| ("tests over ssh", (outcome, 0.0))));
     outcomes.extend(trainer_steps(all || ci)?);
     conclude(&outcomes)
 }
 
-fn conclude(outcomes: &[(&str, (Outcome, f64))]) -> Result<()> {
+/// Runs the tests in real time, and beside them the others.
+fn tests(cargo: &dyn Fn(&str) -> Command, ci: bool) -> Result<[Step; 2]> {
+    let [profile, real_time_profile] = if ci { ["ci", "ci-real-time"] } else { ["default"; 2] };
+    let run = |profile, filter: String| {
+        let mut tests = cargo(&format!("nextest run {TESTED} --profile {profile} -E"));
+        tests.arg(filter);
+        tests
+    };
+    let real_time = run(real_time_profile, real_time::FILTER.to_owned());
+    let others = run(profile, format!("not ({})", real_time::FILTER));
+    let [real_time, others] = real_time::run_beside(real_time, &others)?;
+    Ok([("tests in real time", real_time), ("other tests", others)])
+}
+
+fn conclude(outcomes: &[Step]) -> Result<()> {
     println!();
     let mut failed = Vec::new();
     let mut skipped = 0;
@@ -195,7 +216,7 @@ fn without_ssh(ci: bool) -> Option<Outcome> {
 
 /// Lints, types and tests of the trainer. Without `--all` and outside of CI they are skipped if PyTorch (5 GB) is not
 /// installed.
-fn trainer_steps(install: bool) -> Result<Vec<(&'static str, (Outcome, f64))>> {
+fn trainer_steps(install: bool) -> Result<Vec<Step>> {
     if !install && !trainer::is_installed() {
         let why = "PyTorch is not installed; `cargo xtask test --all` installs it (5 GB)";
         return Ok(vec![("trainer", (Outcome::Skipped(why), 0.0))]);

@@ -7,6 +7,9 @@ use drivers::scip::{Model, ModelSpec};
 use super::ScanSource;
 use super::encode::{block, field, line, number};
 
+/// Its clock has 24 bits.
+const HALF_CLOCK_MS: u32 = 1 << 23;
+
 /// Internal state of health.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Health {
@@ -139,7 +142,10 @@ impl Sensor {
             Health::LaserOff | Health::LaserBroken => line(out, b"10"),
             Health::Well | Health::Blind => {
                 line(out, b"99");
-                self.scan(begin_ns, &stream, out);
+                let is_wrong =
+                    self.wrong_stamp_every > 0 && stream.sent % self.wrong_stamp_every == 0;
+                let stamp_ms = self.clock_ms(begin_ns) ^ if is_wrong { HALF_CLOCK_MS } else { 0 };
+                self.scan(begin_ns, stamp_ms, stream.layout, out);
                 if stream.scans == 0 || left > 0 {
                     self.stream = Some(stream);
                 }
@@ -148,12 +154,7 @@ impl Sensor {
         out.push(b'\n');
     }
 
-    fn scan(&mut self, begin_ns: u64, stream: &Stream, out: &mut Vec<u8>) {
-        let layout = stream.layout;
-        let mut stamp_ms = self.clock_ms(begin_ns);
-        if self.wrong_stamp_every > 0 && stream.sent % self.wrong_stamp_every == 0 {
-            stamp_ms ^= 1 << 23;
-        }
+    fn scan(&mut self, begin_ns: u64, stamp_ms: u32, layout: Layout, out: &mut Vec<u8>) {
         let mut stamp = Vec::new();
         number(&mut stamp, stamp_ms, 4);
         line(out, &stamp);
@@ -185,7 +186,7 @@ impl Sensor {
     fn clock_ms(&self, at_ns: u64) -> u32 {
         let passed_ms =
             at_ns.saturating_sub(self.booted_ns) as f64 * 1e-6 * (1.0 + self.clock_ppm * 1e-6);
-        (passed_ms as u64 % (1 << 24)) as u32
+        (passed_ms as u64 % u64::from(2 * HALF_CLOCK_MS)) as u32
     }
 
     fn answer(&mut self, command: &str, now_ns: u64, out: &mut Vec<u8>) {
@@ -325,7 +326,8 @@ impl Sensor {
                 line(out, b"00");
                 let begin_ns =
                     self.rotation_begin_ns.saturating_sub(self.model.geometry(false).period_ns);
-                self.scan(begin_ns.max(self.booted_ns), layout, out);
+                let begin_ns = begin_ns.max(self.booted_ns);
+                self.scan(begin_ns, self.clock_ms(begin_ns), layout, out);
             } else {
                 line(out, b"10");
             }

@@ -1,19 +1,10 @@
 //! Export of runs as LeRobot datasets, read back with the parquet crate, and with LeRobot itself where it is installed.
-#![cfg(feature = "lerobot")]
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that cannot set up its files has failed"
-)]
-
-mod common;
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use common::{run_header, some_tick};
+use crate::common::{run_header, some_tick};
 use hal::Twist2;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::{Field, List, Row, RowAccessor};
@@ -236,7 +227,7 @@ fn lerobots_own_class_reads_the_same_data_as_the_recording() {
     }
     write_segment(&segment, &ticks);
     lerobot(&[segment], &to).unwrap();
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/compare_with_lerobot.py");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/store/compare_with_lerobot.py");
     let output = Command::new(python).arg(script).arg(&to).arg(dir.path()).output().unwrap();
     let words = String::from_utf8_lossy(&output.stdout).into_owned()
         + &String::from_utf8_lossy(&output.stderr);

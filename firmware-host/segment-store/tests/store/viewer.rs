@@ -1,13 +1,10 @@
 //! Export of runs for Foxglove and Rerun.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its files has failed")]
-
-mod common;
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::{decision, run_header, some_tick};
+use crate::common::{decision, run_header, some_tick};
 use foxglove::{Decode, messages as fox};
 use hal::{DepthMap, LaserScan, Pose2, Range, ScanGeometry};
 use runtime::event::Event;

@@ -1,5 +1,4 @@
 //! Small recordings, and a server and a client connected by a socket.
-#![allow(dead_code, reason = "helpers, not all of which every test file uses")]
 
 use std::fs;
 use std::os::unix::net::UnixStream;

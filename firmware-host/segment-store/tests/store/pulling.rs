@@ -1,18 +1,10 @@
 //! Repeated pulls from robots.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that cannot set up its files has failed"
-)]
-
-mod common;
 
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::time::SystemTime;
 
-use common::{FILES, assert_same, connect, pull_into, robot, segment};
+use crate::common::{FILES, assert_same, connect, pull_into, robot, segment};
 use segment_store::pull::Options;
 use segment_store::source::{Directory, Source};
 use segment_store::{Catalogue, Digest, FileSink, LocalCopy, Name, Pulled, Root, StoreError};

@@ -1,16 +1,8 @@
 //! Segments that were cut off or damaged: every complete chunk is kept.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that cannot set up its files has failed"
-)]
-
-mod common;
 
 use std::fs;
 
-use common::{CHUNK_TICKS, Noise, pull_into, segment, some_tick};
+use crate::common::{CHUNK_TICKS, Noise, pull_into, segment, some_tick};
 use runtime::recording::RecordingReader;
 use segment_store::pull::Options;
 use segment_store::source::Directory;

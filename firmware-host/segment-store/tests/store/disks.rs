@@ -1,12 +1,4 @@
 //! The workstation's disk fails at any operation.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that cannot set up its files has failed"
-)]
-
-mod common;
 
 use std::fs;
 use std::io::{self, Read, Write};
@@ -14,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-use common::{FILES, assert_same, connect, pull_into, robot};
+use crate::common::{FILES, assert_same, connect, pull_into, robot};
 use hal::VirtualClock;
 use rustix::io::Errno;
 use segment_store::StoreError;

@@ -1,19 +1,11 @@
 //! Links that break, stall, or damage and reorder data: a file is never completed with wrong contents.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that cannot set up its files has failed"
-)]
-
-mod common;
 
 use std::fs;
 use std::io::{self, Read};
 use std::os::unix::net::UnixStream;
 use std::time::Duration;
 
-use common::{FILES, Noise, assert_same, connect, pull_into, robot, serve_on};
+use crate::common::{FILES, Noise, assert_same, connect, pull_into, robot, serve_on};
 use segment_store::pull::Options;
 use segment_store::source::Remote;
 use segment_store::{ErrorKind, StoreError};

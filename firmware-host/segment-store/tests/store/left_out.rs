@@ -1,13 +1,10 @@
 //! What cannot be read is named and never left out in silence, and an output replaces nothing.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its files has failed")]
-
-mod common;
 
 use std::fs::{self, File, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 
-use common::{CHUNK_TICKS, robot, segment};
+use crate::common::{CHUNK_TICKS, robot, segment};
 use segment_store::export::{mcap, ros2, tum, viewer};
 use segment_store::{Catalogue, ErrorKind, StoreError, recover_file};
 

@@ -1,7 +1,4 @@
 //! Signed segments: what a change of any byte does to the signature.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
-
-mod common;
 
 use data_encoding::HEXLOWER;
 use runtime::recording::{RecordingWriter, SegmentHeader, Views};
@@ -9,7 +6,7 @@ use segment_store::signature::{RobotKey, SIGNATURE, Statement};
 use segment_store::{Finding, Signed, check_signature, verify};
 use sha2::{Digest, Sha256};
 
-use common::{run_header, some_tick};
+use crate::common::{run_header, some_tick};
 
 fn key() -> RobotKey {
     RobotKey::new(&[7; 32])
@@ -59,7 +56,7 @@ fn a_signed_segment_says_who_recorded_it_and_is_a_whole_segment() {
 
 #[test]
 fn a_segment_without_a_signature_is_not_signed() {
-    assert_eq!(check(&common::segment(0, 0, 25)), Signed::No);
+    assert_eq!(check(&crate::common::segment(0, 0, 25)), Signed::No);
     for length in [0, 5, 8, 20, 1000] {
         assert_eq!(check(&signed_by(&key(), 0)[..length]), Signed::No, "{length}");
     }

@@ -1,13 +1,10 @@
 //! Export of runs as ROS 2 bags, read back with the decoder `re_cdr`, which is not part of this project.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set up its files has failed")]
-
-mod common;
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use common::{decision, robot, run_header, some_tick};
+use crate::common::{decision, robot, run_header, some_tick};
 use hal::{LaserScan, Pose2, Range, ScanGeometry, Twist2};
 use runtime::event::Event;
 use runtime::recording::{MapView, RecordedTick, RecordingWriter, SegmentHeader, Views};

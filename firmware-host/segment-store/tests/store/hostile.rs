@@ -1,18 +1,10 @@
 //! A hostile peer, or one with another protocol version.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that cannot set up its files has failed"
-)]
-
-mod common;
 
 use std::fs;
 use std::io::{Cursor, Read, Write};
 use std::os::unix::fs::symlink;
 
-use common::{pull_into, robot};
+use crate::common::{pull_into, robot};
 use proptest::prelude::*;
 use segment_store::pull::Options;
 use segment_store::source::{Remote, Source};
@@ -56,7 +48,7 @@ fn served(root: &Root, bytes: &[u8]) -> Vec<u8> {
 #[test]
 fn each_segment_that_is_sent_is_named_first_and_no_other() {
     let dir = tempdir().unwrap();
-    common::robot(dir.path());
+    robot(dir.path());
     let fetch =
         |name: &str| Request::Fetch { name: Name::parse(name).unwrap(), local: LocalCopy::none() };
     let asked = requests(&[

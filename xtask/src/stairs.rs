@@ -1,0 +1,141 @@
+//! `cargo xtask stairs`: explores homes with stairs down, with the default camera mount and with one that sees the floor from nearer.
+
+use anyhow::{Context, Result};
+use serde_json::Value;
+
+use crate::explore::{self, Exploration};
+use crate::paths;
+use crate::tables::{self, Table};
+
+/// The homes, each with so many seeds.
+const HOMES: [(&str, u64); 3] = [("apartment", 4), ("house", 3), ("office", 3)];
+/// The camera's mount and its configuration.
+const MOUNTS: [(&str, &str, &str); 2] = [
+    ("level, no drops marked (default)", "level", ""),
+    (
+        "16 degrees down, drops marked up to 2 m",
+        "pitched",
+        "[camera]\npitch_down_deg = 16.0\n[map]\ndrop_range_m = 2.0\n",
+    ),
+];
+const COLUMNS: [&str; 8] = [
+    "home",
+    "seed",
+    "camera",
+    "within 0.1 m of an edge",
+    "fell",
+    "coverage at its true place",
+    "right of all pixels",
+    "collisions",
+];
+
+/// Explores each home with each mount. Runs that an earlier call has finished are not repeated. With `update`, the table goes
+/// into docs/data/stairs.json and docs/faults.md.
+///
+/// # Errors
+/// When a run fails, or a file cannot be written.
+pub fn run(frames: u64, update: bool) -> Result<()> {
+    explore::build()?;
+    let dir = paths::target().join(format!("stairs/{frames}"));
+    std::fs::create_dir_all(&dir).with_context(|| dir.display().to_string())?;
+    let mut labels = Vec::new();
+    let mut explorations = Vec::new();
+    for (camera, name, config) in MOUNTS {
+        let file = dir.join(format!("{name}.toml"));
+        std::fs::write(&file, config).with_context(|| file.display().to_string())?;
+        for (home, seed) in homes() {
+            let scene = format!("builtin:{home}?seed={seed}&stairs=1");
+            let config = file.display().to_string();
+            let length = [frames, seed].map(|number| number.to_string());
+            let arguments = ["--scene", &scene, "--policy", "active", "--config", &config];
+            let length = ["--frames", &length[0], "--seed", &length[1]];
+            labels.push([home.to_owned(), seed.to_string(), camera.to_owned()]);
+            explorations.push(Exploration {
+                arguments: arguments.iter().chain(&length).map(ToString::to_string).collect(),
+                out: dir.join(format!("{home}-{seed}-{name}")),
+            });
+        }
+    }
+    let summaries = explore::all(&explorations)?;
+    let mut table = Table::new(&COLUMNS);
+    for (label, summary) in labels.iter().zip(&summaries) {
+        table.push(label.iter().cloned().chain(Results::of(summary).cells()).collect());
+    }
+    for ((camera, ..), summaries) in MOUNTS.iter().zip(summaries.chunks(homes().count())) {
+        let label = ["all", "", camera].map(str::to_owned);
+        let all = Results::of_all(summaries);
+        table.push(label.into_iter().chain(all.cells()).collect());
+    }
+    print!("{}", table.markdown());
+    if update {
+        let made_by = format!("cargo xtask stairs --frames {frames} --update");
+        tables::update("stairs", "stairs", &made_by, &table)?;
+    }
+    Ok(())
+}
+
+fn homes() -> impl Iterator<Item = (&'static str, u64)> {
+    HOMES.into_iter().flat_map(|(home, seeds)| (1..=seeds).map(move |seed| (home, seed)))
+}
+
+/// The figures of one run, or of several: counts added up, shares in the mean.
+struct Results {
+    approaches: u64,
+    falls: u64,
+    coverage: f64,
+    right: f64,
+    collisions: u64,
+}
+
+impl Results {
+    fn of(summary: &Value) -> Self {
+        let share = |path: &str| summary.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN);
+        Self {
+            approaches: summary["edge_approaches"].as_u64().unwrap_or(0),
+            falls: u64::from(summary["fell"] == true),
+            coverage: share("/coverage_true"),
+            right: share("/accuracy/coarse/all/right"),
+            collisions: summary["collisions"].as_u64().unwrap_or(0),
+        }
+    }
+
+    fn of_all(summaries: &[Value]) -> Self {
+        let all: Vec<Self> = summaries.iter().map(Self::of).collect();
+        let mean = |share: fn(&Self) -> f64| all.iter().map(share).sum::<f64>() / all.len() as f64;
+        Self {
+            approaches: all.iter().map(|run| run.approaches).sum(),
+            falls: all.iter().map(|run| run.falls).sum(),
+            coverage: mean(|run| run.coverage),
+            right: mean(|run| run.right),
+            collisions: all.iter().map(|run| run.collisions).sum(),
+        }
+    }
+
+    fn cells(&self) -> [String; 5] {
+        [
+            self.approaches.to_string(),
+            self.falls.to_string(),
+            format!("{:.0} %", 100.0 * self.coverage),
+            format!("{:.3}", self.right),
+            self.collisions.to_string(),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn counts_are_added_up_and_shares_are_means() {
+        let run = |approaches: u64, fell: bool, coverage: f64| {
+            json!({ "edge_approaches": approaches, "fell": fell, "coverage_true": coverage,
+                "accuracy": { "coarse": { "all": { "right": 0.5 } } }, "collisions": 1 })
+        };
+        let all = Results::of_all(&[run(0, false, 0.8), run(3, true, 0.4)]);
+        assert_eq!(all.cells(), ["3", "1", "60 %", "0.500", "2"]);
+        // A run without a fall has no key for it.
+        assert_eq!(Results::of(&json!({ "edge_approaches": 0 })).cells()[1], "0");
+    }
+}
