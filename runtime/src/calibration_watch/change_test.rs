@@ -406,6 +406,23 @@ mod tests {
         assert!(uncovered > 10, "{uncovered}");
     }
 
+    /// The number of changes that are found where errors are a sixth of the stated ones, but three blocks of each hundred share an error
+    /// that is 1.3 times the stated one of three blocks.
+    fn found_with_rare_large_errors(least_noise: f64) -> usize {
+        let limits = Limits { least_noise: [least_noise], ..LIMITS };
+        let stated = 36.0;
+        let rare = 1.3 * (stated / 12.0_f64).sqrt();
+        let error = |block: u64| if block % 100 >= 97 { rare } else { 0.0 };
+        (0..50).map(|seed| found_with(seed + 2_000, 500, stated, &limits, error).len()).sum()
+    }
+
+    #[test]
+    fn rare_large_errors_raise_no_alarm_if_the_least_noise_covers_them() {
+        assert_eq!(found_with_rare_large_errors(0.5), 0);
+        let uncovered = found_with_rare_large_errors(LIMITS.least_noise[0]);
+        assert!(uncovered > 10, "{uncovered}");
+    }
+
     #[test]
     fn blocks_without_equations_say_nothing_of_the_noise() {
         let mut test = ChangeTest::default();

@@ -367,11 +367,12 @@ mod tests {
         }
     }
 
-    /// A base that powers its motors within three steps, and whose wheels follow commands exactly.
+    /// A base that powers its motors within three steps, or some more, and whose wheels follow commands exactly.
     #[derive(Default)]
     struct Motors {
         time_ns: u64,
         arming: u32,
+        more_steps: u32,
         moved: Vec<Twist2>,
         pose: Pose2,
         broken: Option<ErrorKind>,
@@ -391,7 +392,7 @@ mod tests {
         fn arm(&mut self) -> Result<bool, Broken> {
             self.broken.map_or(Ok(()), |kind| Err(Broken(kind)))?;
             self.arming += 1;
-            Ok(self.arming > 3)
+            Ok(self.arming > 3 + self.more_steps)
         }
 
         fn disarm(&mut self) {
@@ -399,7 +400,7 @@ mod tests {
         }
 
         fn drive(&mut self, command: &DriveCommand) -> Result<(), Broken> {
-            if self.arming <= 3 || self.broken.is_some() {
+            if self.arming <= 3 + self.more_steps || self.broken.is_some() {
                 return Err(Broken(self.broken.unwrap_or(ErrorKind::Rejected)));
             }
             self.counters.push(command.counter);
@@ -511,7 +512,7 @@ mod tests {
         let mut robot = Robot::new();
         assert!(!robot.drives_after(10), "nobody has armed it");
         robot.step(Some(Request::Arm));
-        assert!(!robot.drives());
+        assert!(!robot.drives() && robot.control.has_authority());
         assert!(robot.drives_after(10));
         assert_eq!(
             robot.control.base.moved.iter().position(|twist| *twist == FORWARD),
@@ -584,6 +585,42 @@ mod tests {
     }
 
     #[test]
+    fn a_safety_board_that_is_not_there_yet_is_waited_for() {
+        let mut robot = Robot::new();
+        robot.control.base.demands = Some(StopCause::SafetyBoardSilent);
+        let first = robot.step(Some(Request::Arm)).event;
+        assert!(!matches!(first, Some(SafetyEvent::ArmingLapsed { .. })), "{first:?}");
+        assert!(!robot.drives_after(500), "for 5 s there is no board");
+        robot.control.base.demands = None;
+        assert!(robot.drives_after(10));
+    }
+
+    #[test]
+    fn motors_that_switched_off_while_the_scanner_was_silent_are_armed_again_when_it_is_back() {
+        let mut robot = Robot::new();
+        robot.step(Some(Request::Arm));
+        assert!(robot.drives_after(10));
+        robot.control.lidar.error = Some(ErrorKind::Timeout);
+        assert!(!robot.drives_after(40));
+        assert_eq!(robot.control.plane.state(), SafetyState::Fault(FaultReason::LidarSilent));
+        robot.control.base.disarm();
+        robot.control.lidar.error = None;
+        assert!(robot.drives_after(200));
+    }
+
+    #[test]
+    fn a_refusal_is_named_by_its_cause_and_without_one_by_the_kind_of_its_error() {
+        for (cause, why) in [
+            (Some(StopCause::EmergencyStop), FaultReason::EmergencyStop),
+            (Some(StopCause::SafetyBoardSilent), FaultReason::SafetyBoardSilent),
+            (Some(StopCause::LoopStalled), FaultReason::LoopOverrun),
+            (None, FaultReason::BaseFault),
+        ] {
+            assert_eq!(refusal(cause, ErrorKind::Rejected), why, "{cause:?}");
+        }
+    }
+
+    #[test]
     fn a_low_battery_stops_the_robot_until_a_person_has_charged_it() {
         let mut robot = Robot::new();
         robot.control.power =
@@ -626,6 +663,7 @@ mod tests {
         assert_eq!(robot.control.base.arming, 0, "and the motors are let go");
         assert!(!robot.drives_after(20), "released, and no person has asked again");
         robot.step(Some(Request::Arm));
+        assert!(!robot.control.has_authority(), "the fault has to be cleared first");
         robot.step(Some(Request::ClearFault));
         assert!(!robot.drives_after(20), "cleared, and no person has asked since");
         robot.step(Some(Request::Arm));
@@ -652,6 +690,8 @@ mod tests {
                 let mut robot = Robot::new();
                 robot.control.base.broken = Some(kind);
                 robot.step(Some(Request::Arm));
+                // No later step is exactly ten seconds after the request.
+                robot.now_ns += 3 * MS;
                 assert!(!robot.drives_after(steps));
                 robot.control.base.broken = None;
                 assert_eq!(robot.drives_after(10), drives, "{kind:?} after {steps} steps");
@@ -667,6 +707,27 @@ mod tests {
         assert_eq!(output.event, Some(SafetyEvent::ArmingLapsed { why: FaultReason::BaseFault }));
         robot.control.base.broken = None;
         assert!(!robot.drives_after(20));
+    }
+
+    #[test]
+    fn motors_whose_feedback_is_late_while_they_are_being_configured_do_not_end_the_request() {
+        let mut robot = Robot::new();
+        robot.step(None);
+        robot.control.base.more_steps = 60;
+        robot.control.base.unheard = Some(ErrorKind::Corrupt);
+        robot.step(Some(Request::Arm));
+        assert!(!robot.drives_after(40));
+        robot.control.base.unheard = None;
+        assert!(robot.drives_after(40));
+    }
+
+    #[test]
+    fn a_base_that_is_faulty_from_the_beginning_is_not_waited_for() {
+        let mut robot = Robot::new();
+        robot.control.base.broken = Some(ErrorKind::Fault);
+        robot.control.base.unheard = Some(ErrorKind::Fault);
+        let output = robot.step(Some(Request::Arm));
+        assert_eq!(output.event, Some(SafetyEvent::ArmingLapsed { why: FaultReason::BaseFault }));
     }
 
     #[test]
