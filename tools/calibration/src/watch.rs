@@ -58,6 +58,12 @@ const DISTURBANCES: [Disturbance; 6] = [
         apply: |truth| truth.camera_pitch_down_deg = 1.0,
     },
     Disturbance {
+        name: "camera roll 3 degrees",
+        what: Watched::CameraRoll,
+        needs_frames: true,
+        apply: |truth| truth.camera_roll_deg = 3.0,
+    },
+    Disturbance {
         name: "camera yaw 10 degrees",
         what: Watched::CameraYaw,
         needs_frames: true,
