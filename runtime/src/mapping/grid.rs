@@ -422,6 +422,16 @@ impl OccupancyGrid {
         self.window.row(&self.stored, y, min_x, width)
     }
 
+    /// Writes `value` into those of `values`, a [`row`](Self::row), whose cells hold a drop.
+    pub(crate) fn write_drops(&self, y: i32, min_x: i32, value: f32, values: &mut [f32]) {
+        let (left, right) = self.window.row(&self.top_cm, y, min_x, values.len());
+        for (cell, top_cm) in values.iter_mut().zip(left.iter().chain(right)) {
+            if *cell > 0.0 && *top_cm == DROP_CM {
+                *cell = value;
+            }
+        }
+    }
+
     /// The value in [`row`](Self::row) that corresponds to these log-odds.
     pub(crate) fn row_value(&self, log_odds: f32) -> f32 {
         (f64::from(log_odds) / self.scale) as f32

@@ -6,6 +6,7 @@ use proptest::prelude::*;
 use super::tests::{camera, mount};
 use super::*;
 use crate::perception::DepthEstimate;
+use crate::planning::{Costmap, PlanConfig};
 
 /// A window that reaches beyond the stairs.
 fn wide() -> MapConfig {
@@ -108,6 +109,18 @@ fn stairs_down_are_occupied_from_their_edge_on_and_the_floor_around_them_is_not(
         let y_m = f64::from(step) * 0.05;
         let near = drops.iter().any(|drop| (drop[0] - 3.05).hypot(drop[1] - y_m) < 0.15);
         assert!(near, "no mark at the edge beside y = {y_m}");
+    }
+}
+
+#[test]
+fn however_doubtful_obstacles_may_be_no_path_leads_over_stairs() {
+    let grid = map_of_stairs();
+    let mut costmap = Costmap::new(&PlanConfig::default()).unwrap();
+    costmap.update_with_doubt(&grid, 1000.0);
+    let edge = occupied(&grid);
+    assert!(!edge.is_empty());
+    for [x_m, y_m] in edge {
+        assert_eq!(costmap.weight(grid.cell_at(x_m, y_m)), None, "({x_m}, {y_m})");
     }
 }
 

@@ -135,11 +135,11 @@ impl Costmap {
         self.distances.reset(width, height);
         let mut values = core::mem::take(&mut self.row_values);
         for row in 0..height {
-            self.read_row(grid, cells, row, &mut values);
+            self.read_row(grid, cells, row, doubtful, &mut values);
             self.distances.set_row(row, values.iter().map(|value| *value > doubtful), reach);
         }
         for row in 0..height {
-            self.read_row(grid, cells, row, &mut values);
+            self.read_row(grid, cells, row, doubtful, &mut values);
             let start = (row + 1) * self.stride + 1;
             let clearance2 = &mut self.clearance2[start..start + width];
             self.distances.row(row, reach, clearance2);
@@ -155,13 +155,24 @@ impl Costmap {
         self.mark_level();
     }
 
-    /// Reads one row of `cells` from the map into `values`. Closed cells are occupied beyond doubt.
-    fn read_row(&self, grid: &OccupancyGrid, cells: CellBox, row: usize, values: &mut Vec<f32>) {
+    /// Reads one row of `cells` from the map into `values`. Closed cells, and drops where obstacles count as doubtful, are
+    /// occupied beyond doubt.
+    fn read_row(
+        &self,
+        grid: &OccupancyGrid,
+        cells: CellBox,
+        row: usize,
+        doubtful: f32,
+        values: &mut Vec<f32>,
+    ) {
         let y = cells.min.y + row as i32;
         let (left, right) = grid.row(y, cells.min.x, cells.width());
         values.clear();
         values.extend_from_slice(left);
         values.extend_from_slice(right);
+        if doubtful > 0.0 {
+            grid.write_drops(y, cells.min.x, f32::INFINITY, values);
+        }
         self.keep_out.write_row(cells, y, grid.cell_m(), f32::INFINITY, values);
     }
 
