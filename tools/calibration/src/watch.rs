@@ -32,7 +32,7 @@ struct Disturbance {
     apply: fn(&mut TruthSection),
 }
 
-const DISTURBANCES: [Disturbance; 6] = [
+const DISTURBANCES: [Disturbance; 7] = [
     Disturbance {
         name: "one wheel 1 %",
         what: Watched::WheelHeading,
