@@ -167,6 +167,20 @@ mod tests {
     }
 
     #[test]
+    fn a_path_hardly_beside_the_field_of_view_is_seen_and_one_that_is_further_beside_it_is_not() {
+        let scan = scan_of(|_| Range::Hit(2.0));
+        let mut view = View::default();
+        view.update(&scan);
+        let forward = Twist2 { linear_mps: 0.3, angular_radps: 0.0 };
+        // The field of view ends at 135 degrees.
+        for (yaw_deg, blind) in [(134.0, false), (136.5, false), (138.0, true)] {
+            let mount = Pose2::new(0.0, 0.0, f64::to_radians(yaw_deg));
+            let is_blind = view.is_blind(&scan.geometry, &mount, &ROUND, &forward);
+            assert_eq!(is_blind, blind, "{yaw_deg} degrees");
+        }
+    }
+
+    #[test]
     fn what_is_not_seen_behind_and_beside_the_robot_does_not_matter() {
         let blind_beside = |angle: f64| {
             if angle.abs() > 1.2 { Range::Error } else { Range::Hit(2.0) }
