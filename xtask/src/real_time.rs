@@ -12,7 +12,11 @@ use crate::{command, paths};
 /// These tests, as a filter of nextest.
 pub const FILTER: &str = "package(firmware-host) & binary(/^(run|live)$/) | package(live-view) | package(hil) - binary(/^(faults|lost|model_check|restart_authority|snapshots)$/)";
 
-/// Runs `real_time` with its output in a file, which is shown at the end, and beside it `others` with the lowest priority.
+/// Runs `real_time` with its output in a file, which is shown at the end, and beside it `others` with the lowest priority. Returns
+/// the outcomes in this order.
+///
+/// # Errors
+/// When the file cannot be written.
 pub fn run_beside(mut real_time: Command, others: &Command) -> Result<[(Outcome, f64); 2]> {
     let path = paths::target().join("real-time-tests.log");
     let log = File::create(&path).with_context(|| path.display().to_string())?;

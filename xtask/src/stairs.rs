@@ -7,9 +7,9 @@ use crate::explore::{self, Exploration};
 use crate::paths;
 use crate::tables::{self, Table};
 
-/// The homes, each with so many seeds.
+/// The homes, each with the number of its seeds.
 const HOMES: [(&str, u64); 3] = [("apartment", 4), ("house", 3), ("office", 3)];
-/// The camera's mount and its configuration.
+/// The camera's mount in words, the name of its folders, and its configuration.
 const MOUNTS: [(&str, &str, &str); 2] = [
     ("level, no drops marked (default)", "level", ""),
     (
@@ -91,6 +91,7 @@ impl Results {
     fn of(summary: &Value) -> Self {
         let share = |path: &str| summary.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN);
         Self {
+            // Absent if there were none.
             approaches: summary["edge_approaches"].as_u64().unwrap_or(0),
             falls: u64::from(summary["fell"] == true),
             coverage: share("/coverage_true"),

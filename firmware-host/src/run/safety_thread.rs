@@ -412,7 +412,6 @@ mod tests {
         sets.effective.remove(CapabilitySet::SYS_NICE);
         set_capabilities(None, sets).unwrap();
         assert!(!become_realtime(40));
-        // Memory may be locked all the same.
         let policy = thread_priority::thread_schedule_policy_param(thread_native_id()).unwrap().0;
         assert!(!matches!(policy, ThreadSchedulePolicy::Realtime(_)), "{policy:?}");
     }

@@ -10,7 +10,7 @@ use crate::transfer::{FileSink, LocalCopy};
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Listing {
     pub entries: Vec<Entry>,
-    /// Sentences about the segments and directories that the store's owner cannot read. They are not among the entries.
+    /// Sentences about the segments and directories that cannot be read. They are not among the entries.
     pub unread: Vec<String>,
 }
 

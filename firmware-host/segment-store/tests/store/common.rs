@@ -11,7 +11,7 @@ use runtime::recording::{
     RecordedTick, RecordingWriter, RgbImage, RunHeader, SegmentHeader, Views,
 };
 use runtime::tick::{Command, Decision};
-use segment_store::pull::{Destination, FileSystem, Options, Report, pull};
+use segment_store::pull::{Destination, FileSystem, Options, Progress, Report, pull};
 use segment_store::source::{Remote, Source};
 use segment_store::{CpuFeatures, Root, StoreError};
 
@@ -150,6 +150,15 @@ pub fn pull_into(
     here: &Path,
     options: Options,
 ) -> Result<Report, StoreError> {
+    pull_with_progress(source, here, options, &mut ())
+}
+
+pub fn pull_with_progress(
+    source: &mut dyn Source,
+    here: &Path,
+    options: Options,
+    progress: &mut dyn Progress,
+) -> Result<Report, StoreError> {
     let mut destination = Destination::open(here, &FileSystem)?;
-    pull(source, &mut destination, &options, &mut VirtualClock::default(), &mut ())
+    pull(source, &mut destination, &options, &mut VirtualClock::default(), progress)
 }

@@ -1,4 +1,4 @@
-//! Stores on disks and over links, and exports of their runs.
+//! Stores on disks, over links and in object stores, and exports of their runs.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -6,6 +6,8 @@
     reason = "a test that cannot set up its files has failed"
 )]
 
+#[cfg(feature = "object-store")]
+mod bucket;
 mod common;
 mod cuts;
 mod disks;

@@ -1,5 +1,4 @@
 //! Segments with the structure of the recorder's, and object stores.
-#![allow(dead_code, reason = "helpers, not all of which every test file uses")]
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -7,30 +6,16 @@ use std::path::Path;
 use std::sync::Arc;
 
 use futures_util::TryStreamExt;
-use hal::VirtualClock;
 use object_store::local::LocalFileSystem;
 use object_store::memory::InMemory;
 use object_store::{ObjectStore, ObjectStoreExt};
-use segment_store::StoreError;
 use segment_store::bucket::Bucket;
-use segment_store::pull::{Destination, FileSystem, Options, Progress, Report, pull};
-use segment_store::source::Source;
+use segment_store::pull::Progress;
+
+use crate::common::Noise;
 
 /// The number of ticks of a small segment.
 pub const SMALL: u64 = 5;
-
-/// Random numbers (SplitMix64), which do not compress.
-pub struct Noise(pub u64);
-
-impl Noise {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-}
 
 /// A complete segment of `ticks` ticks with `bytes` bytes each, and two events.
 pub fn segment(seed: u64, ticks: u64, bytes: usize) -> Vec<u8> {
@@ -160,22 +145,4 @@ impl Progress for ProgressHook<'_> {
     fn warning(&mut self, text: &str) {
         self.warnings.push(text.to_owned());
     }
-}
-
-pub fn pull_into(
-    source: &mut dyn Source,
-    here: &Path,
-    options: Options,
-) -> Result<Report, StoreError> {
-    pull_with_progress(source, here, options, &mut ())
-}
-
-pub fn pull_with_progress(
-    source: &mut dyn Source,
-    here: &Path,
-    options: Options,
-    progress: &mut dyn Progress,
-) -> Result<Report, StoreError> {
-    let mut destination = Destination::open(here, &FileSystem)?;
-    pull(source, &mut destination, &options, &mut VirtualClock::default(), progress)
 }

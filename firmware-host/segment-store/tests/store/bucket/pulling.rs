@@ -3,7 +3,8 @@
 use std::fs;
 use std::sync::Arc;
 
-use crate::common::{Fleet, Noise, ProgressHook, SMALL, pull_into, pull_with_progress, segment};
+use super::fleet::{Fleet, ProgressHook, SMALL, segment, segment_with_channels};
+use crate::common::{Noise, pull_into, pull_with_progress};
 use object_store::memory::InMemory;
 use segment_store::pull::{Options, Order};
 use segment_store::source::{Listing, Source};
@@ -287,7 +288,7 @@ fn a_cut_segment_is_pulled_and_later_replaced_by_its_complete_version() {
 #[test]
 fn an_unusually_long_index_is_read() {
     let fleet = Fleet::in_memory();
-    fleet.put("recording_0000.mcap", &crate::common::segment_with_channels(1, SMALL, 100, 4000));
+    fleet.put("recording_0000.mcap", &segment_with_channels(1, SMALL, 100, 4000));
     let entries = fleet.bucket().list().unwrap().entries;
     assert_eq!((entries[0].state, entries[0].ticks), (State::Closed, Some(SMALL)));
 }

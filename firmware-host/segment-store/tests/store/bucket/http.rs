@@ -7,7 +7,8 @@ use std::net::{TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use crate::common::{SMALL, pull_into, segment};
+use super::fleet::{SMALL, segment};
+use crate::common::pull_into;
 use hal::VirtualClock;
 use object_store::RetryConfig;
 use object_store::aws::AmazonS3Builder;

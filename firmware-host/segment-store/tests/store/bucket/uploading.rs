@@ -3,7 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use crate::common::{Fleet, ProgressHook, SMALL, pull_into, segment};
+use super::fleet::{Fleet, ProgressHook, SMALL, segment};
+use crate::common::pull_into;
 use hal::VirtualClock;
 use segment_store::pull::{Options, Progress, Report};
 use segment_store::source::{Directory, Listing, Source};
