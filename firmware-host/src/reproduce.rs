@@ -208,15 +208,19 @@ impl Drop for Part<'_> {
 /// Writes the ticks around `about`. Returns their number.
 fn write(args: &ReproduceArgs, about: &RecordedTick, part: &Part<'_>) -> Result<u64> {
     let from_ns = about.time_ns.saturating_sub(nanoseconds(args.before));
-    let start_ns = Run::open(&args.run)?.start_ns();
+    let start_ns = Run::open_before(&args.run, Moment::Tick(about.tick))?.start_ns();
     let from_s = from_ns.saturating_sub(start_ns) as f64 * 1e-9;
     let mut missing = None;
-    // Between the two may be a segment that cannot be read, which ends the first attempt.
+    // Before the second one may be a segment that cannot be read, which ends the first attempt.
     for moment in [Moment::Seconds(from_s), Moment::Tick(about.tick)] {
-        let run = Run::open_before(&args.run, moment)?;
-        let ticks = extract(args, about, run, part, &mut missing)?;
-        if let Some(ticks) = ticks {
-            return Ok(ticks);
+        match Run::open_before(&args.run, moment) {
+            Ok(run) => {
+                let ticks = extract(args, about, run, part, &mut missing)?;
+                if let Some(ticks) = ticks {
+                    return Ok(ticks);
+                }
+            }
+            Err(error) => missing = Some(error.to_string()),
         }
     }
     let tick = about.tick;

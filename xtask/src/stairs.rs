@@ -1,4 +1,4 @@
-//! `cargo xtask stairs`: explores homes with stairs down, with the default camera mount and with one that sees the floor from nearer.
+//! `cargo xtask stairs`: explores homes with stairs down, with and without marked drops, and with a camera mount that sees the floor from nearer.
 
 use anyhow::{Context, Result};
 use serde_json::Value;
@@ -9,9 +9,10 @@ use crate::tables::{self, Table};
 
 /// The homes, each with the number of its seeds.
 const HOMES: [(&str, u64); 3] = [("apartment", 4), ("house", 3), ("office", 3)];
-/// The camera's mount in words, the name of its folders, and its configuration.
-const MOUNTS: [(&str, &str, &str); 2] = [
-    ("level, no drops marked (default)", "level", ""),
+/// The camera's mount and what is marked in words, the name of their folders, and their configuration.
+const MOUNTS: [(&str, &str, &str); 3] = [
+    ("level, drops marked up to 4 m (default)", "drops", ""),
+    ("level, no drops marked", "level", "[map]\ndrop_range_m = 0.0\n"),
     (
         "16 degrees down, drops marked up to 2 m",
         "pitched",

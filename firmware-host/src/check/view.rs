@@ -11,6 +11,7 @@ pub struct View {
     pitch_down_deg: f64,
     /// Half of the image's vertical field of view.
     half_fov_deg: f64,
+    drop_range_m: f64,
 }
 
 impl View {
@@ -23,6 +24,7 @@ impl View {
             lidar_height_m: config.lidar.height_m,
             pitch_down_deg: config.camera.pitch_down_deg,
             half_fov_deg: below_axis.atan().to_degrees(),
+            drop_range_m: f64::from(config.map.drop_range_m),
         }
     }
 
@@ -58,6 +60,13 @@ impl View {
                  {lidar_height_m:.2} m, nor stairs down"
             ),
         };
+        let nearest_m = self.nearest_floor_m(pitch_down_deg);
+        let drops = nearest_m.filter(|nearest_m| self.drop_range_m <= *nearest_m).map(|_| {
+            format!(
+                "map.drop_range_m = {} ends before that: no stairs down are marked in the map",
+                self.drop_range_m
+            )
+        });
         let advised_deg = self.advised_pitch_deg();
         let advised_m = self.nearest_floor_m(advised_deg).filter(|_| pitch_down_deg < advised_deg);
         let advice = advised_m.map(|nearest_m| {
@@ -65,7 +74,7 @@ impl View {
                 "camera.pitch_down_deg = {advised_deg:.0} shows the floor from {nearest_m:.2} m on, and still the horizon"
             )
         });
-        std::iter::once(unseen).chain(advice).collect()
+        std::iter::once(unseen).chain(drops).chain(advice).collect()
     }
 }
 
@@ -84,6 +93,20 @@ mod tests {
         assert!(text.contains("lower than the LiDAR's 0.18 m, nor stairs down"), "{text}");
         // 16.7 + 16 degrees down: 0.8 m / tan(32.7 degrees).
         assert!(text.contains("camera.pitch_down_deg = 16 shows the floor from 1.25 m"), "{text}");
+    }
+
+    #[test]
+    fn marks_of_stairs_that_end_before_the_nearest_floor_are_none() {
+        let mut config = Config::default();
+        let says_so = |config: &Config| {
+            let text = View::new(config).sentences().join("\n");
+            text.contains("no stairs down are marked in the map")
+        };
+        assert!(!says_so(&config));
+        config.map.drop_range_m = 2.0;
+        assert!(says_so(&config));
+        config.camera.pitch_down_deg = 16.0;
+        assert!(!says_so(&config));
     }
 
     #[test]

@@ -164,21 +164,18 @@ impl Run {
     /// When there is no recording.
     pub fn open(path: &Path) -> Result<Self, ReplayError> {
         let paths = segments(path)?;
-        let first =
-            paths.first().ok_or_else(|| ReplayError::NoSegments { dir: path.to_owned() })?;
-        let start_ns = open_segment(first)?.header().first_time_ns;
+        let start_ns = start_of(&paths, path)?;
         Self::begin(paths, 0, start_ns)
     }
 
     /// Opens the run at the last segment that begins with a snapshot at or before `moment`, or at its first segment if there
-    /// is none.
+    /// is none. Segments that cannot be read are passed over; times count from the first one that can.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
+    /// When there is no recording, or the run has to be opened at its first segment and that cannot be read.
     pub fn open_before(path: &Path, moment: Moment) -> Result<Self, ReplayError> {
-        let run = Self::open(path)?;
-        let start_ns = run.start_ns;
         let paths = segments(path)?;
+        let start_ns = start_of(&paths, path)?;
         for at in (1..paths.len()).rev() {
             let Some(mut reader) = paths.get(at).and_then(|path| open_segment(path).ok()) else {
                 continue;
@@ -198,7 +195,7 @@ impl Run {
                 return Self::begin(paths, at, start_ns);
             }
         }
-        Ok(run)
+        Self::begin(paths, 0, start_ns)
     }
 
     fn begin(mut paths: Vec<PathBuf>, first: usize, start_ns: u64) -> Result<Self, ReplayError> {
@@ -294,6 +291,18 @@ impl Iterator for Run {
         };
         item
     }
+}
+
+/// Time of the first tick that can be read, monotonic.
+fn start_of(paths: &[PathBuf], run: &Path) -> Result<u64, ReplayError> {
+    let mut why = None;
+    for path in paths {
+        match open_segment(path) {
+            Ok(reader) => return Ok(reader.header().first_time_ns),
+            Err(error) => why = why.or(Some(error)),
+        }
+    }
+    Err(why.unwrap_or_else(|| ReplayError::NoSegments { dir: run.to_owned() }))
 }
 
 /// Opens one segment and reads its header.

@@ -235,6 +235,17 @@ fn a_run_whose_first_segments_were_removed_replays_from_its_first_snapshot() {
 }
 
 #[test]
+fn a_run_whose_first_segment_is_damaged_replays_from_a_later_moment_and_not_from_its_start() {
+    let dir = recorded_with_snapshots(60, 20);
+    let first = dir.path().join(segment_name(0));
+    std::fs::write(&first, "no recording").unwrap();
+    let span = Span { from: Some(Moment::Tick(40)), until_mismatch: false };
+    let (report, out) = replayed_span(dir.path(), span);
+    assert_eq!((report.ticks, report.mismatches), (20, 0), "{out}");
+    assert!(refused(dir.path()).contains("recording_0000.mcap"));
+}
+
+#[test]
 fn where_ticks_are_missing_the_replay_goes_on_at_the_next_snapshot_and_is_not_exact() {
     let dir = recorded_with_snapshots(60, 20);
     std::fs::remove_file(dir.path().join(segment_name(1))).unwrap();

@@ -43,6 +43,8 @@ impl TopView {
             band_max_m: (BELOW_M + ABOVE_M) as f32,
             mark_range_m: 4.0,
             clear_range_m: 4.0,
+            // How high a camera is held above the floor is not known.
+            drop_range_m: 0.0,
             ..MapConfig::default()
         };
         let t_level_world = levelled(poses, up.unwrap_or_else(|| upward(poses)));

@@ -234,6 +234,18 @@ fn a_moment_after_missing_ticks_is_reproduced_from_the_next_snapshot_and_a_missi
 }
 
 #[test]
+fn a_moment_is_reproduced_although_the_first_segment_cannot_be_read() {
+    let dir = TempDir::new().unwrap();
+    let (_, run) = explore_for(&dir, "70", SHORT_SEGMENTS, "run", &HOME);
+    std::fs::write(run.join("recording_0000.mcap"), "no recording").unwrap();
+    let bug = dir.path().join("bug.mcap");
+    let (made, said) = reproduce(&run, "45", &bug);
+    assert!(made && said.contains(" mismatches=0"), "{said}");
+    let (made, said) = reproduce(&run, "5", &dir.path().join("lost.mcap"));
+    assert!(!made && said.contains("recording_0000.mcap"), "{said}");
+}
+
+#[test]
 fn a_moment_is_refused_if_no_snapshot_lies_between_it_and_missing_ticks() {
     let dir = TempDir::new().unwrap();
     let (_, run) = explore_for(&dir, "20", SMALL, "run", &HOME);

@@ -1,12 +1,15 @@
 //! The figures in docs/live-view.md. Nothing here can fail by being slow.
 
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
+use hil::world::{LiveOptions, LiveWorld};
 use live_view::access::{Access, Transport};
 use live_view::robot::Robot;
 use live_view::server;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_tungstenite::tungstenite::Message;
@@ -21,8 +24,11 @@ const STOPS: usize = 200;
 /// Ticks of a run whose cost is measured, and runs of each kind.
 const TICKS: &str = "600";
 const PAIRS: usize = 3;
+/// Drives of each kind on simulated devices, and how long each takes.
+const DRIVES: usize = 5;
+const DRIVE: Duration = Duration::from_secs(30);
 
-async fn serve(socket: &std::path::Path) -> String {
+async fn serve(socket: &Path) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let access = Access::new(address.ip(), Transport::Plain, None, Vec::new()).unwrap();
@@ -117,6 +123,16 @@ async fn figures_of_the_link() {
     );
 }
 
+/// Clients that subscribe everything and read what comes, until it is aborted.
+async fn watch(socket: PathBuf, clients: usize) {
+    let url = serve(&socket).await;
+    let readers = (0..clients).map(|_| async {
+        let (mut socket, _) = connect(&url).await;
+        while let Some(Ok(_)) = socket.next().await {}
+    });
+    futures_util::future::join_all(readers).await;
+}
+
 /// The tick's latencies in the summary of a run with this number of clients.
 async fn run(clients: Option<usize>) -> Value {
     let folder = tempfile::tempdir().unwrap();
@@ -126,34 +142,82 @@ async fn run(clients: Option<usize>) -> Value {
         .args(["--out", "run"])
         .stdout(std::process::Stdio::null())
         .current_dir(folder.path());
-    let mut view = None;
-    if let Some(clients) = clients {
+    let view = clients.map(|clients| {
         let socket = folder.path().join("live.sock");
-        let url = serve(&socket).await;
         command.arg("--live").arg(&socket);
-        view = Some(tokio::spawn(async move {
-            let readers = (0..clients).map(|_| async {
-                let (mut socket, _) = connect(&url).await;
-                let mut bytes = 0;
-                while let Ok(Some(Ok(message))) =
-                    tokio::time::timeout(Duration::from_secs(20), socket.next()).await
-                {
-                    bytes += message.len();
-                }
-                bytes
-            });
-            futures_util::future::join_all(readers).await.into_iter().sum::<usize>()
-        }));
-    }
+        tokio::spawn(watch(socket, clients))
+    });
     let mut child = command.spawn().unwrap();
     let status = tokio::task::spawn_blocking(move || child.wait().unwrap()).await.unwrap();
     assert!(status.success());
     if let Some(view) = view {
         view.abort();
     }
-    let summary = std::fs::read_to_string(folder.path().join("run/summary.json")).unwrap();
+    latencies(folder.path())
+}
+
+fn latencies(folder: &Path) -> Value {
+    let summary = std::fs::read_to_string(folder.join("run/summary.json")).unwrap();
     let summary: Value = serde_json::from_str(&summary).unwrap();
     summary["latency_ms"].clone()
+}
+
+/// The latencies of `firmware-host run` on simulated devices for [`DRIVE`], with this number of clients.
+async fn drive(clients: Option<usize>) -> Value {
+    let folder = tempfile::tempdir().unwrap();
+    let world = LiveWorld::start(folder.path(), &LiveOptions::default()).unwrap();
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("firmware-host"));
+    command
+        .args(["run", "--config"])
+        .arg(world.config())
+        .arg("--out")
+        .arg(folder.path().join("run"));
+    command.stdout(std::process::Stdio::null());
+    let view = clients.map(|clients| {
+        let socket = folder.path().join("live.sock");
+        let config = std::fs::read_to_string(world.config()).unwrap();
+        let live = format!("[live]\nsocket = {socket:?}\n");
+        std::fs::write(world.config(), config + &live).unwrap();
+        tokio::spawn(watch(socket, clients))
+    });
+    let mut robot = command.spawn().unwrap();
+    tokio::time::sleep(DRIVE).await;
+    kill_process(Pid::from_raw(robot.id() as i32).unwrap(), Signal::TERM).unwrap();
+    let status = tokio::task::spawn_blocking(move || robot.wait().unwrap()).await.unwrap();
+    assert!(status.success());
+    if let Some(view) = view {
+        view.abort();
+    }
+    println!("  {:.1} m driven", world.home().score().1);
+    latencies(folder.path())
+}
+
+/// Prints the median of each figure over all runs of a kind, and the figures of each run.
+fn compare(kinds: [(&str, &[Value]); 2]) {
+    for figure in ["total/p50", "total/p99", "safety_late/p50", "safety_late/p99", "live/p99"] {
+        for (kind, runs) in kinds {
+            let number = |run: &Value| run.pointer(&format!("/{figure}")).and_then(Value::as_f64);
+            let mut all: Vec<f64> = runs.iter().filter_map(number).collect();
+            let each: Vec<String> = all.iter().map(|ms| format!("{ms:.3}")).collect();
+            all.sort_by(f64::total_cmp);
+            if !all.is_empty() {
+                let median = percentile(&all, 0.5);
+                println!("{figure:16} {kind:15} median {median:.3} ms of {}", each.join(", "));
+            }
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "prints figures for the documentation"]
+async fn cost_of_the_view_to_a_robot() {
+    let mut without = Vec::new();
+    let mut with = Vec::new();
+    for _ in 0..DRIVES {
+        without.push(drive(None).await);
+        with.push(drive(Some(3)).await);
+    }
+    compare([("without", &without), ("with 3 clients", &with)]);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
