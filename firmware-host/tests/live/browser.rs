@@ -29,6 +29,14 @@ fn is_shown(id: &str) -> String {
     format!("document.getElementById('{id}').checkVisibility()")
 }
 
+/// Gives the page a gamepad whose left stick is pushed to the left, with or without a shoulder button held. `true` when done.
+fn gamepad(is_held: bool) -> String {
+    format!(
+        "(() => {{ const buttons = Array(17).fill({{ pressed: false }}); buttons[4] = {{ pressed: {is_held} }};
+            navigator.getGamepads = () => [null, {{ buttons, axes: [-1, 0.05, 0, 0] }}]; return true; }})()"
+    )
+}
+
 /// Whether some pixels of the map are white, which free cells are.
 const MAP_IS_SHOWN: &str = "(() => { const map = document.getElementById('map');
     const data = map.getContext('2d').getImageData(0, 0, map.width, map.height).data;
@@ -78,7 +86,7 @@ async fn the_page_shows_a_run_and_its_buttons_act() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_person_drives_by_hand_with_a_key_chooses_a_policy_and_draws_an_area() {
+async fn a_person_drives_by_hand_with_a_key_and_a_gamepad_chooses_a_policy_and_draws_an_area() {
     let Some(program) = program() else { return };
     let mut run = Explore::start(&["--seed", "1", "--no-recording"]);
     let page = serve(&run).await;
@@ -94,6 +102,17 @@ async fn a_person_drives_by_hand_with_a_key_chooses_a_policy_and_draws_an_area()
     browser.wait("driving", &format!("{}.startsWith('Driven by hand')", text("why"))).await;
     browser.wait("a held pad", "document.getElementById('pad').classList.contains('held')").await;
     browser.key("keyUp", "a").await;
+    browser
+        .wait("standing", &format!("{}.startsWith('Stands where it was driven')", text("why")))
+        .await;
+    // A stick counts while a shoulder button is held, too.
+    browser.wait("a gamepad", &gamepad(false)).await;
+    let held = "document.getElementById('pad').classList.contains('held')";
+    browser.wait("a pad that is not held", &format!("!{held}")).await;
+    browser.wait("a held button", &gamepad(true)).await;
+    browser.wait("driving", &format!("{}.startsWith('Driven by hand')", text("why"))).await;
+    browser.wait("a held pad", held).await;
+    browser.wait("a released button", &gamepad(false)).await;
     browser
         .wait("standing", &format!("{}.startsWith('Stands where it was driven')", text("why")))
         .await;
