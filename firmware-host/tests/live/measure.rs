@@ -1,7 +1,7 @@
 //! The figures in docs/live-view.md. Nothing here can fail by being slow.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
@@ -65,8 +65,44 @@ fn percentile(sorted: &[f64], share: f64) -> f64 {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "prints figures for the documentation"]
 async fn figures_of_the_link() {
+    println!("explore --real-time:");
     let run = Explore::with("", &["--seed", "1", "--no-recording"]);
-    let url = serve(&run.socket()).await;
+    print_figures_of(&run.socket()).await;
+    drop(run);
+
+    println!("run on simulated devices:");
+    let folder = tempfile::tempdir().unwrap();
+    let world = LiveWorld::start(folder.path(), &LiveOptions::default()).unwrap();
+    let socket = add_live_view(&world, folder.path());
+    let mut robot = start(&world, folder.path());
+    print_figures_of(&socket).await;
+    kill_process(Pid::from_raw(robot.id() as i32).unwrap(), Signal::TERM).unwrap();
+    assert!(robot.wait().unwrap().success());
+}
+
+/// Adds a live view to the configuration of a robot in a simulated world. Returns its socket.
+fn add_live_view(world: &LiveWorld, folder: &Path) -> PathBuf {
+    let socket = folder.join("live.sock");
+    let config = std::fs::read_to_string(world.config()).unwrap();
+    let live = format!("[live]\nsocket = {socket:?}\n");
+    std::fs::write(world.config(), config + &live).unwrap();
+    socket
+}
+
+/// Starts `firmware-host run` in a simulated world.
+fn start(world: &LiveWorld, folder: &Path) -> Child {
+    Command::new(assert_cmd::cargo::cargo_bin!("firmware-host"))
+        .args(["run", "--config"])
+        .arg(world.config())
+        .arg("--out")
+        .arg(folder.join("run"))
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+async fn print_figures_of(socket: &Path) {
+    let url = serve(socket).await;
     // The robot's map has begun.
     tokio::time::sleep(Duration::from_secs(5)).await;
     let mut firsts = Vec::new();
@@ -166,21 +202,11 @@ fn latencies(folder: &Path) -> Value {
 async fn drive(clients: Option<usize>) -> Value {
     let folder = tempfile::tempdir().unwrap();
     let world = LiveWorld::start(folder.path(), &LiveOptions::default()).unwrap();
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("firmware-host"));
-    command
-        .args(["run", "--config"])
-        .arg(world.config())
-        .arg("--out")
-        .arg(folder.path().join("run"));
-    command.stdout(std::process::Stdio::null());
     let view = clients.map(|clients| {
-        let socket = folder.path().join("live.sock");
-        let config = std::fs::read_to_string(world.config()).unwrap();
-        let live = format!("[live]\nsocket = {socket:?}\n");
-        std::fs::write(world.config(), config + &live).unwrap();
+        let socket = add_live_view(&world, folder.path());
         tokio::spawn(watch(socket, clients))
     });
-    let mut robot = command.spawn().unwrap();
+    let mut robot = start(&world, folder.path());
     tokio::time::sleep(DRIVE).await;
     kill_process(Pid::from_raw(robot.id() as i32).unwrap(), Signal::TERM).unwrap();
     let status = tokio::task::spawn_blocking(move || robot.wait().unwrap()).await.unwrap();
