@@ -211,16 +211,17 @@ fn write(args: &ReproduceArgs, about: &RecordedTick, part: &Part<'_>) -> Result<
     let start_ns = Run::open_before(&args.run, Moment::Tick(about.tick))?.start_ns();
     let from_s = from_ns.saturating_sub(start_ns) as f64 * 1e-9;
     let mut missing = None;
-    // Before the second one may be a segment that cannot be read, which ends the first attempt.
+    // A segment that cannot be read ends the first attempt; the second one begins after it.
     for moment in [Moment::Seconds(from_s), Moment::Tick(about.tick)] {
-        match Run::open_before(&args.run, moment) {
-            Ok(run) => {
-                let ticks = extract(args, about, run, part, &mut missing)?;
-                if let Some(ticks) = ticks {
-                    return Ok(ticks);
-                }
+        let run = match Run::open_before(&args.run, moment) {
+            Ok(run) => run,
+            Err(error) => {
+                missing = Some(error.to_string());
+                continue;
             }
-            Err(error) => missing = Some(error.to_string()),
+        };
+        if let Some(ticks) = extract(args, about, run, part, &mut missing)? {
+            return Ok(ticks);
         }
     }
     let tick = about.tick;

@@ -1,4 +1,5 @@
-//! `cargo xtask stairs`: explores homes with stairs down, with and without marked drops, and with a camera mount that sees the floor from nearer.
+//! `cargo xtask stairs`: explores homes with stairs down, with and without marked drops, and with a camera mount that sees the floor from
+//! nearer.
 
 use anyhow::{Context, Result};
 use serde_json::Value;

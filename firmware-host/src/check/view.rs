@@ -63,7 +63,7 @@ impl View {
         let nearest_m = self.nearest_floor_m(pitch_down_deg);
         let drops = nearest_m.filter(|nearest_m| self.drop_range_m <= *nearest_m).map(|_| {
             format!(
-                "map.drop_range_m = {} ends before that: no stairs down are marked in the map",
+                "map.drop_range_m = {} ends before the nearest floor in the image: no stairs down are marked in the map",
                 self.drop_range_m
             )
         });

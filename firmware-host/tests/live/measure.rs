@@ -101,6 +101,7 @@ fn start(world: &LiveWorld, folder: &Path) -> Child {
         .unwrap()
 }
 
+/// Prints how long the first map and the answers to STOP of a robot take.
 async fn print_figures_of(socket: &Path) {
     let url = serve(socket).await;
     // The robot's map has begun.
@@ -249,21 +250,11 @@ async fn cost_of_the_view_to_a_robot() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "prints figures for the documentation"]
 async fn cost_of_the_view_in_the_loop() {
-    for pair in 0..PAIRS {
-        let without = run(None).await;
-        let with = run(Some(3)).await;
-        let total = |of: &Value| {
-            format!(
-                "p50 {:.1} p99 {:.1}",
-                of["total"]["p50"].as_f64().unwrap(),
-                of["total"]["p99"].as_f64().unwrap()
-            )
-        };
-        println!(
-            "pair {pair}: tick without {}, with 3 clients {} ms; copying {} ms",
-            total(&without),
-            total(&with),
-            with["live"]
-        );
+    let mut without = Vec::new();
+    let mut with = Vec::new();
+    for _ in 0..PAIRS {
+        without.push(run(None).await);
+        with.push(run(Some(3)).await);
     }
+    compare([("without", &without), ("with 3 clients", &with)]);
 }
