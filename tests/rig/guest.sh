@@ -68,13 +68,14 @@ until_value() {
 
 # punctuality FIRMWARE SECONDS: measures how late the safety loop runs while a robot drives, in parallel with cyclictest.
 punctuality() {
-    local firmware=$1 seconds=$2 robot steps missed
+    local firmware=$1 seconds=$2 robot steps missed first
     rm -rf /tmp/run /rig/status.json
     world_up --lidar urg-04lx --protocol vesc --frame-size 160x64 --fps 10
     "$firmware" run --config /tmp/world/robot.toml --out /tmp/run --status /rig/status.json >/rig/run.log 2>&1 &
     robot=$!
     # Exclude the start, in which it allocates its memory at its own priority.
     until_value steps /rig/status.json 'v > 100'
+    first=$(value skipped /rig/status.json)
     # While both programs start, this slow machine may leave the motors silent for 100 ms; a request to arm is then void.
     kill -USR1 $robot
     # At the safety loop's period, just above its priority (40). Below it, cyclictest would wait for the safety loop's
@@ -89,7 +90,8 @@ punctuality() {
     check 'a robot drives meanwhile' \
         awk -F '[= ]' '/^world:/ { path_m = $3 } END { print path_m " m"; exit !(path_m > 0) }' /tmp/world.log
     check 'the safety loop at 100 Hz skips no tick' \
-        awk -v missed=$missed -v steps=$steps 'BEGIN { print missed " of " steps; exit !(missed == 0) }'
+        awk -v first=$first -v missed=$((missed - first)) -v steps=$steps 'BEGIN {
+            print missed " of " steps ", and " first " while the program started"; exit !(missed == 0) }'
     check 'the safety loop is less than 1 ms late' \
         awk -v p50="$(value p50 /tmp/late)" -v p99="$(value p99 /tmp/late)" -v max="$(value max /tmp/late)" 'BEGIN {
             printf "p50 %.0f, p99 %.0f, max %.0f us\n", 1000 * p50, 1000 * p99, 1000 * max; exit !(max > 0 && max < 1) }'

@@ -6,7 +6,6 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use axum::Router;
 use axum::body::Body;
-use axum::extract::connect_info::Connected;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{ConnectInfo, Query, Request, State};
@@ -15,16 +14,16 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use axum::serve::{IncomingStream, Listener};
+use axum::serve::{Listener, ListenerExt};
 use serde::Deserialize;
-use tokio::net::TcpListener;
+use tokio::net::TcpStream;
+use tokio_rustls::server::TlsStream;
 
 use crate::access::{Access, Handshake};
 use crate::page;
 use crate::protocol::SUBPROTOCOLS;
 use crate::robot::Robot;
 use crate::session::Session;
-use crate::tls::TlsListener;
 
 /// The largest message of a client: an order needs 100 bytes, subscriptions of Foxglove some kilobytes.
 const MOST_BYTES: usize = 64 << 10;
@@ -42,19 +41,29 @@ struct TokenQuery {
     token: Option<String>,
 }
 
-/// A client's address.
-#[derive(Debug, Clone, Copy)]
-pub struct Client(SocketAddr);
+/// A connection over TCP.
+pub trait Connection {
+    /// The TCP stream below it.
+    fn tcp(&self) -> &TcpStream;
+}
 
-impl Connected<IncomingStream<'_, TcpListener>> for Client {
-    fn connect_info(stream: IncomingStream<'_, TcpListener>) -> Self {
-        Self(*stream.remote_addr())
+impl Connection for TcpStream {
+    fn tcp(&self) -> &TcpStream {
+        self
     }
 }
 
-impl Connected<IncomingStream<'_, TlsListener>> for Client {
-    fn connect_info(stream: IncomingStream<'_, TlsListener>) -> Self {
-        Self(*stream.remote_addr())
+impl Connection for TlsStream<TcpStream> {
+    fn tcp(&self) -> &TcpStream {
+        self.get_ref().0
+    }
+}
+
+/// Lets short messages go at once. Otherwise Nagle's algorithm keeps the answer to a stop back until the client has acknowledged
+/// the image before it, which Linux delays by 40 ms.
+fn send_at_once(connection: &impl Connection) {
+    if let Err(error) = connection.tcp().set_nodelay(true) {
+        tracing::debug!("answers to a client may be late, TCP_NODELAY: {error}");
     }
 }
 
@@ -65,7 +74,7 @@ impl Connected<IncomingStream<'_, TlsListener>> for Client {
 pub async fn serve<L>(listener: L, robot: Robot, access: Access) -> Result<()>
 where
     L: Listener<Addr = SocketAddr>,
-    Client: for<'a> Connected<IncomingStream<'a, L>>,
+    L::Io: Connection,
 {
     let state = ServerState { robot, access: Arc::new(access) };
     let routes = Router::new()
@@ -73,7 +82,8 @@ where
         .route("/{file}", get(page::file))
         .layer(from_fn_with_state(state.clone(), guard))
         .with_state(state);
-    let service = routes.into_make_service_with_connect_info::<Client>();
+    let service = routes.into_make_service_with_connect_info::<SocketAddr>();
+    let listener = listener.tap_io(|connection| send_at_once(connection));
     axum::serve(listener, service).await.context("the server has ended")
 }
 
@@ -92,7 +102,7 @@ async fn guard(State(state): State<ServerState>, request: Request<Body>, next: N
 /// The page, or the WebSocket if the client asks for it. Foxglove connects to the root.
 async fn enter(
     State(state): State<ServerState>,
-    ConnectInfo(Client(address)): ConnectInfo<Client>,
+    ConnectInfo(address): ConnectInfo<SocketAddr>,
     Query(query): Query<TokenQuery>,
     headers: HeaderMap,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
@@ -130,4 +140,20 @@ async fn enter(
 
 fn text<'a>(headers: &'a HeaderMap, name: &axum::http::HeaderName) -> Option<&'a str> {
     headers.get(name)?.to_str().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::net::TcpListener;
+
+    #[tokio::test]
+    async fn a_short_answer_does_not_wait_until_the_message_before_it_is_acknowledged() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let _client = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+        let (connection, _) = listener.accept().await.unwrap();
+        assert!(!connection.nodelay().unwrap());
+        send_at_once(&connection);
+        assert!(connection.nodelay().unwrap());
+    }
 }

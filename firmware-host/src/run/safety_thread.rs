@@ -210,8 +210,7 @@ where
         loop {
             clock.sleep_until_ns(due_ns);
             let now_ns = clock.now_ns();
-            late.record(now_ns - due_ns);
-            status.worst_late_ns = status.worst_late_ns.max(now_ns - due_ns);
+            note_delay(now_ns - due_ns, &mut status, &mut late);
             if self.stop.load(Ordering::Acquire) {
                 let ends_ns = *ends_ns.get_or_insert(now_ns + DISARMING_NS);
                 let released = self.task.control().base().phase() == drivers::can::Phase::Disarmed;
@@ -223,9 +222,14 @@ where
             self.step(now_ns, &mut status);
             self.steps.fetch_add(1, Ordering::Release);
             due_ns += period_ns;
-            let missed = missed_steps(due_ns, clock.now_ns(), period_ns);
-            status.skipped += missed;
-            due_ns += missed * period_ns;
+            let now_ns = clock.now_ns();
+            let missed = missed_steps(due_ns, now_ns, period_ns);
+            if missed > 0 {
+                // The step after them starts in time, but the first of them would have been late.
+                note_delay(now_ns - due_ns, &mut status, &mut late);
+                status.skipped += missed;
+                due_ns += missed * period_ns;
+            }
         }
         self.task.shut_down();
         late
@@ -263,6 +267,12 @@ where
         *self.status.input_buffer_mut() = *status;
         self.status.publish();
     }
+}
+
+/// Counts a step that started this much later than it was due.
+fn note_delay(late_ns: u64, status: &mut LoopStatus, late: &mut LatencyHistogram) {
+    late.record(late_ns);
+    status.worst_late_ns = status.worst_late_ns.max(late_ns);
 }
 
 /// Why the last request to arm was void, after a step with this event.
