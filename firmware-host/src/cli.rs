@@ -83,6 +83,8 @@ pub enum Command {
     ///
     /// Then the devices are checked as by `check --devices`.
     Init(InitArgs),
+    /// Print where camera and LiDAR are, from a robot description (URDF), as sections of a configuration.
+    Mounts(MountsArgs),
     /// Check a configuration file and print every value in effect, or check the connected devices.
     Check(CheckArgs),
     /// List, verify, recover, export, erase and serve recorded runs.
@@ -391,7 +393,7 @@ pub struct CalibrateArgs {
 /// Arguments of `firmware-host localize`.
 #[derive(Debug, Args)]
 pub struct LocalizeArgs {
-    /// The log.
+    /// Log of scans and odometry: a CARMEN log or a URG .dat file, compressed with gzip or not.
     #[arg(long, value_name = "FILE")]
     pub log: PathBuf,
     /// Output folder for trajectory.tum, online.tum, map.png and summary.json. It is created if it is
@@ -433,7 +435,7 @@ pub enum MapTask {
     },
     /// Show age, size and content of a map file.
     Show {
-        /// Map file.
+        /// Map file to show.
         file: PathBuf,
     },
 }
@@ -536,6 +538,23 @@ pub struct InitArgs {
     /// Use the simulated devices in this folder (`hil world --dir`) instead of those of the computer.
     #[arg(long, value_name = "DIR")]
     pub simulated: Option<PathBuf>,
+}
+
+/// Arguments of `firmware-host mounts`.
+#[derive(Debug, Args)]
+pub struct MountsArgs {
+    /// Robot description (URDF). A xacro file must be converted first: `xacro FILE > robot.urdf`.
+    pub urdf: PathBuf,
+    /// Link on the floor below the middle of the axle [default: base_footprint].
+    #[arg(long, value_name = "LINK")]
+    pub base: Option<String>,
+    /// Link of the camera. If its name contains `optical`, its z axis is the optical axis, otherwise its x axis [default: the
+    /// only link with `optical` in its name].
+    #[arg(long, value_name = "LINK")]
+    pub camera: Option<String>,
+    /// Link of the LiDAR [default: the only link with `laser`, `lidar` or `scan` in its name].
+    #[arg(long, value_name = "LINK")]
+    pub lidar: Option<String>,
 }
 
 /// Arguments of `firmware-host check`.
@@ -642,9 +661,9 @@ pub enum ExportLayout {
     Viewer,
     /// A ROS 2 bag with images, calibration, scans, odometry and transforms.
     Ros2,
-    /// The format of the TUM RGB-D benchmark with poses from odometry, which `perceive --dataset` reads.
+    /// The format of the TUM RGB-D benchmark with localized poses of the camera, which `perceive --dataset` reads.
     Tum,
-    /// A LeRobot dataset, format 3.0: images, odometry and sent commands in Parquet files.
+    /// A LeRobot dataset, format 3.0: images, localized poses, measured velocities and sent commands in Parquet files.
     ///
     /// Only in a build with the feature `lerobot`, which the robot's package does not have.
     Lerobot,

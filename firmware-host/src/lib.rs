@@ -32,6 +32,7 @@ pub mod logging;
 pub mod manual;
 pub mod map;
 pub mod model;
+pub mod mounts;
 pub mod onnx_runtime;
 pub mod perceive;
 pub mod record;

@@ -9,7 +9,7 @@ use firmware_host::cli::{Cli, Command as Subcommand, TaskArgs};
 use firmware_host::config::ConfigError;
 use firmware_host::{
     buffer, calibrate, camera_latency, check, failure, health, identity, init, localize, logging,
-    manual, map, model, output, perceive, replay_run, reproduce, run, task,
+    manual, map, model, mounts, output, perceive, replay_run, reproduce, run, task,
 };
 #[cfg(feature = "simulator")]
 use firmware_host::{explore, views};
@@ -36,6 +36,7 @@ fn main() -> ExitCode {
         Subcommand::Health(args) => health::run(&args),
         Subcommand::Identity(args) => identity::run(&args).map(|()| ExitCode::SUCCESS),
         Subcommand::Init(args) => init::run(&args),
+        Subcommand::Mounts(args) => mounts::run(&args).map(|()| ExitCode::SUCCESS),
         Subcommand::Check(args) => check::run(&args),
         Subcommand::CameraLatency(args) => camera_latency::run(&args).map(|()| ExitCode::SUCCESS),
         Subcommand::Calibrate(args) => calibrate::run(&args).map(|()| ExitCode::SUCCESS),

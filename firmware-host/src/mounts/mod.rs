@@ -1,0 +1,231 @@
+//! `firmware-host mounts`: where camera and LiDAR are, from a robot description (URDF).
+
+mod urdf;
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail, ensure};
+use hal::{CameraMount, Pose3};
+use nalgebra::Vector3;
+
+use crate::cli::MountsArgs;
+use crate::config::Config;
+use urdf::{LinkPose, Urdf};
+
+/// The link on the floor below the middle of the axle, by REP-120.
+const FLOOR_LINK: &str = "base_footprint";
+/// The robot takes the LiDAR's plane as level. At 1 degree it rises 7 cm in 4 m.
+const LEVEL_DEG: f64 = 1.0;
+/// A LiDAR that points further away than this has its front elsewhere, the range of `lidar.yaw_deg`.
+const FORWARD_DEG: f64 = 45.0;
+
+/// Prints the mounts as sections of the configuration.
+///
+/// # Errors
+/// When the file is no URDF, a link is missing or cannot be chosen, or the robot cannot use a mount.
+pub fn run(args: &MountsArgs) -> Result<()> {
+    let urdf = Urdf::read(&args.urdf)?;
+    print!("{}", sections(&urdf, args)?);
+    Ok(())
+}
+
+fn sections(urdf: &Urdf, args: &MountsArgs) -> Result<String> {
+    let base = base_link(urdf, args.base.as_deref())?;
+    let camera = chosen(urdf, args.camera.as_deref(), "--camera", &["optical"])?;
+    let lidar = chosen(urdf, args.lidar.as_deref(), "--lidar", &["laser", "lidar", "scan"])?;
+    let text = format!(
+        "# From {}, relative to `{base}`, which must be on the floor below the middle of the axle.\n{}\n{}",
+        args.urdf.display(),
+        camera_section(camera, &pose(urdf, base, camera)?),
+        lidar_section(lidar, &pose(urdf, base, lidar)?)?
+    );
+    Config::parse(&text, Path::new("mounts")).context("the robot cannot use these mounts")?;
+    Ok(text)
+}
+
+fn base_link<'a>(urdf: &'a Urdf, named: Option<&'a str>) -> Result<&'a str> {
+    let found = urdf.links().find(|link| *link == FLOOR_LINK);
+    named.or(found).with_context(|| {
+        format!(
+            "there is no link `{FLOOR_LINK}`; name the link on the floor below the middle of the axle by --base"
+        )
+    })
+}
+
+/// The link that was named, or the only one with one of these words in its name.
+fn chosen<'a>(
+    urdf: &'a Urdf,
+    named: Option<&'a str>,
+    option: &str,
+    words: &[&str],
+) -> Result<&'a str> {
+    if let Some(named) = named {
+        return Ok(named);
+    }
+    let is_one = |link: &&str| words.iter().any(|word| link.to_lowercase().contains(word));
+    let candidates: Vec<&str> = urdf.links().filter(is_one).collect();
+    match candidates[..] {
+        [only] => Ok(only),
+        [] => bail!("no link has `{}` in its name; name it by {option}", words.join("` or `")),
+        _ => bail!("it may be one of these: {}; name it by {option}", candidates.join(", ")),
+    }
+}
+
+fn pose(urdf: &Urdf, base: &str, link: &str) -> Result<Pose3> {
+    let LinkPose { t_base_link, moving_joints } = urdf.pose(base, link)?;
+    if !moving_joints.is_empty() {
+        tracing::warn!(
+            "`{link}` is behind joints that move ({}): this is its pose where they are at zero",
+            moving_joints.join(", ")
+        );
+    }
+    Ok(t_base_link)
+}
+
+fn camera_section(link: &str, t_base_link: &Pose3) -> String {
+    let is_optical = link.to_lowercase().contains("optical");
+    let (axes, t_base_camera) = if is_optical {
+        ("", *t_base_link)
+    } else {
+        // From a link with x ahead and z up to the axes of an image.
+        let forward = CameraMount::default().t_base_camera().rotation;
+        (", whose x axis is taken for the optical axis", t_base_link * forward)
+    };
+    let mount = CameraMount::of(&t_base_camera);
+    let keys = [
+        ("height_m", mount.height_m),
+        ("forward_m", mount.forward_m),
+        ("left_m", mount.left_m),
+        ("pitch_down_deg", mount.pitch_down_deg),
+        ("roll_deg", mount.roll_deg),
+        ("yaw_deg", mount.yaw_deg),
+    ];
+    format!("[camera]\n# Link `{link}`{axes}.\n{}", lines(&keys))
+}
+
+fn lidar_section(link: &str, t_base_link: &Pose3) -> Result<String> {
+    let up = t_base_link.rotation * Vector3::z();
+    let upside_down = up.z < 0.0;
+    let level = if upside_down { -Vector3::z() } else { Vector3::z() };
+    let tilt_deg = up.angle(&level).to_degrees();
+    ensure!(
+        tilt_deg <= LEVEL_DEG,
+        "`{link}` is tilted by {tilt_deg:.1} degrees; the robot needs a LiDAR whose scan plane is level"
+    );
+    let place_m = t_base_link.translation.vector;
+    let front = t_base_link.rotation * Vector3::x();
+    let yaw_deg = front.y.atan2(front.x).to_degrees();
+    let is_turned = yaw_deg.abs() > FORWARD_DEG;
+    let keys = [
+        ("height_m", place_m.z),
+        ("forward_m", place_m.x),
+        ("left_m", place_m.y),
+        ("yaw_deg", if is_turned { 0.0 } else { yaw_deg }),
+    ];
+    let mut text = format!("[lidar]\n# Link `{link}`.\n{}", lines(&keys));
+    if is_turned || upside_down {
+        text += "\n[devices.lidar]\n# Only an RPLIDAR, LD06 or LD19 can be mounted like this.\n";
+    }
+    if is_turned {
+        text += &lines(&[("zero_deg", yaw_deg)]);
+    }
+    if upside_down {
+        text += "upside_down = true\n";
+    }
+    Ok(text)
+}
+
+/// Lines of TOML, rounded to a tenth of a millimetre and of a millidegree.
+fn lines(keys: &[(&str, f64)]) -> String {
+    let line = |(key, value): &(&str, f64)| {
+        // Adding 0 makes -0 positive.
+        let value = (value * 1e4).round() / 1e4 + 0.0;
+        format!("{key} = {value:?}\n")
+    };
+    keys.iter().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A robot whose camera and LiDAR have these origins in its `base_link`, which is 5 cm above the floor.
+    fn robot(camera: &str, lidar: &str) -> String {
+        let links = ["base_footprint", "base_link", "camera_link", "camera_optical_frame", "laser"];
+        let links = links.map(|name| format!("<link name=\"{name}\"/>")).concat();
+        let joint = |parent: &str, child: &str, origin: &str| {
+            format!(
+                "<joint name=\"{child}_joint\" type=\"fixed\"><parent link=\"{parent}\"/><child link=\"{child}\"/>\
+                 <origin {origin}/></joint>"
+            )
+        };
+        let joints = [
+            joint("base_footprint", "base_link", "xyz=\"0 0 0.05\""),
+            joint("base_link", "camera_link", camera),
+            joint("camera_link", "camera_optical_frame", "rpy=\"-1.5707963 0 -1.5707963\""),
+            joint("base_link", "laser", lidar),
+        ];
+        format!("<robot name=\"r\">{links}{}</robot>", joints.concat())
+    }
+
+    const CAMERA: &str = "xyz=\"0.1 -0.02 0.7\" rpy=\"0 0.2792527 0\"";
+    const LIDAR: &str = "xyz=\"0.05 0 0.1\"";
+
+    fn mounts(urdf: &str, camera: Option<&str>) -> Result<String> {
+        let folder = tempfile::tempdir()?;
+        let path = folder.path().join("robot.urdf");
+        std::fs::write(&path, urdf)?;
+        let camera = camera.map(ToOwned::to_owned);
+        let args = MountsArgs { urdf: path.clone(), base: None, camera, lidar: None };
+        sections(&Urdf::read(&path)?, &args)
+    }
+
+    fn config(urdf: &str, camera: Option<&str>) -> Config {
+        Config::parse(&mounts(urdf, camera).unwrap(), Path::new("mounts")).unwrap()
+    }
+
+    #[test]
+    fn mounts_are_those_of_the_urdf_from_the_floor_up() {
+        let config = config(&robot(CAMERA, LIDAR), None);
+        let camera = config.camera;
+        assert_eq!([camera.height_m, camera.forward_m, camera.left_m], [0.75, 0.1, -0.02]);
+        assert_eq!([camera.pitch_down_deg, camera.roll_deg, camera.yaw_deg], [16.0, 0.0, 0.0]);
+        let lidar = config.lidar;
+        assert_eq!(
+            [lidar.height_m, lidar.forward_m, lidar.left_m, lidar.yaw_deg],
+            [0.15, 0.05, 0.0, 0.0]
+        );
+    }
+
+    #[test]
+    fn a_link_of_the_cameras_body_gives_the_same_as_its_optical_frame() {
+        let urdf = robot(CAMERA, LIDAR);
+        assert_eq!(config(&urdf, Some("camera_link")).camera, config(&urdf, None).camera);
+    }
+
+    #[test]
+    fn a_lidar_whose_zero_points_back_or_that_hangs_is_described_by_the_keys_of_the_device() {
+        let turned = format!("{LIDAR} rpy=\"0 0 3.1415926\"");
+        let lidar = config(&robot(CAMERA, &turned), None);
+        assert_eq!((lidar.lidar.yaw_deg, lidar.devices.lidar.zero_deg), (0.0, 180.0));
+        assert!(!lidar.devices.lidar.upside_down);
+        let hanging = format!("{LIDAR} rpy=\"3.1415927 0 0.5235988\"");
+        let lidar = config(&robot(CAMERA, &hanging), None);
+        assert_eq!((lidar.lidar.yaw_deg, lidar.devices.lidar.upside_down), (30.0, true));
+    }
+
+    #[test]
+    fn what_the_robot_cannot_use_is_refused_with_the_reason() {
+        let error = |urdf: &str, camera| format!("{:#}", mounts(urdf, camera).unwrap_err());
+        let tilted = robot(CAMERA, "rpy=\"0 0.1 0\"");
+        assert!(error(&tilted, None).contains("`laser` is tilted by 5.7 degrees"));
+        let high = robot("xyz=\"0 0 9\"", LIDAR);
+        assert!(error(&high, None).contains("camera.height_m"), "{}", error(&high, None));
+        let two = robot(CAMERA, LIDAR).replace("camera_link", "left_optical");
+        assert!(
+            error(&two, None).contains("camera_optical_frame, left_optical; name it by --camera")
+        );
+        let afloat = robot(CAMERA, LIDAR).replace("base_footprint", "base");
+        assert!(error(&afloat, None).contains("by --base"));
+    }
+}
