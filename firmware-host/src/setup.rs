@@ -9,7 +9,7 @@ use runtime::lidar_agreement::LidarAgreement;
 use runtime::model_gate::LidarView;
 use runtime::perception::{DepthNetwork, GivenDepth, NetworkOptions};
 use runtime::recording::RunHeader;
-use runtime::robot::{DepthSource, RobotConfig};
+use runtime::robot::{DepthSource, RobotConfig, ticks_of_silence};
 
 use crate::config::{Config, NetworkSection};
 use crate::faults::FaultPlan;
@@ -55,7 +55,10 @@ impl Config {
             follower: self.follower_config(),
             exploration: self.exploration,
             footprint_radius_m: self.base.footprint_radius_m,
-            stop_without_frames: Some((self.run.frame_timeout_s / self.base.tick_s()).ceil() as u64),
+            stop_without_frames: Some(ticks_of_silence(
+                self.run.frame_timeout_s,
+                self.base.tick_s(),
+            )),
         }
     }
 }
@@ -156,5 +159,23 @@ pub fn depth_source(asked: Option<DepthSource>, has_model: bool) -> Result<Depth
         Some(source) => Ok(source),
         None if has_model => Ok(DepthSource::Network),
         None => Ok(DepthSource::Coarse),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use hal::RobotDescription;
+
+    use super::*;
+
+    #[test]
+    fn a_robot_without_a_configuration_file_is_the_robot_of_the_scenarios() {
+        let config = Config::default();
+        let mission =
+            Mission { policy: PolicyKind::Active, depth_source: DepthSource::Coarse, seed: 3 };
+        let camera = config.camera.model();
+        let of_scenarios =
+            RobotConfig::of(&RobotDescription::default(), camera, mission.policy, mission.seed);
+        assert_eq!(config.robot(&mission), of_scenarios);
     }
 }

@@ -7,14 +7,10 @@ use drivers::fault::{
     Fault, FaultTextError, Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar,
     random_faults,
 };
-use hal::{CameraModel, Clock, Pose2, Twist2};
-use runtime::exploration::{ExplorationConfig, PolicyKind};
-use runtime::localization::LocalizationConfig;
-use runtime::mapping::MapConfig;
-use runtime::perception::{CoarseConfig, DenseConfig};
-use runtime::planning::{FollowerConfig, PlanConfig};
+use hal::{CameraModel, Clock, Pose2, RobotDescription, Twist2};
+use runtime::exploration::PolicyKind;
 use runtime::recording::RecordedTick;
-use runtime::robot::{DepthSource, Robot, RobotConfig, Stage, StageTimer};
+use runtime::robot::{Robot, RobotConfig, SAFETY_HZ, Stage, StageTimer};
 use runtime::safety::SentCommand;
 use runtime::safety::{Request, SafetyConfig, SafetyLoop};
 use runtime::session::{Observer, Session, VirtualDevices, VirtualTime, recompute, safety_link};
@@ -23,9 +19,7 @@ use simulator::laser::LaserModel;
 use simulator::robot::{SimBase, SimCamera, SimClock, SimLidar, Truth};
 use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
 
-const TICK_NS: u64 = 100_000_000;
-const SAFETY_NS: u64 = 10_000_000;
-const FOOTPRINT_M: f64 = 0.16;
+const SAFETY_NS: u64 = (1e9 / SAFETY_HZ) as u64;
 /// Ticks after which a shadow starts again from a snapshot.
 const SHADOW_TICKS: u64 = 7;
 
@@ -62,7 +56,7 @@ impl Tick {
 }
 
 impl Scenario {
-    /// A robot with a small camera in an apartment, with injected faults. The fault `random` is replaced by a minute of
+    /// The default robot with a small camera in an apartment, with injected faults. The fault `random` is replaced by a minute of
     /// random faults.
     ///
     /// # Errors
@@ -83,15 +77,18 @@ impl Scenario {
         laser: LaserModel,
     ) -> Result<Self, Box<dyn Error>> {
         let world = World::open("builtin:apartment?seed=1", &OpenOptions::default())?;
+        let description = RobotDescription::default();
+        // A small one, because rendering takes most of the time of a scenario.
         let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
         let options = RobotOptions { camera, seed, laser, ..RobotOptions::default() };
-        let robot = Robot::new(robot_config(policy, &options), None)?;
+        let robot = Robot::new(RobotConfig::of(&description, camera, policy, seed), None)?;
         let simulated = SimulatedRobot::new(Arc::new(world), options)?;
         let devices = simulated.devices();
         let clock = simulated.devices().clock;
         let faults = Faults::new(parse(faults, seed)?, seed, Arc::new(move || clock.now_ns()));
         let base = FaultyBase::new(devices.base, &faults);
         let lidar = FaultyLidar::new(devices.lidar, &faults);
+        // As on a robot, the safety plane runs ten times in a tick; otherwise it would run once, as in `explore`.
         let safety = SafetyConfig { period_s: SAFETY_NS as f64 * 1e-9, ..SafetyConfig::default() };
         let (task, port) = safety_link(SafetyLoop::new(safety, base, lidar));
         let mut time = VirtualTime::new(devices.clock, task, SAFETY_NS);
@@ -99,7 +96,7 @@ impl Scenario {
         let camera = FaultyCamera::new(devices.camera, &faults);
         let devices = VirtualDevices::new(FaultyClock::new(time, &faults), camera);
         let observer = ScenarioObserver { shadow: None, sent: Vec::new() };
-        let session = Session::new(devices, robot, port, TICK_NS);
+        let session = Session::new(devices, robot, port, description.tick_ms * 1_000_000);
         let truth = simulated.devices().truth;
         Ok(Self { session, simulated, truth, observer })
     }
@@ -202,30 +199,6 @@ pub fn successor(robot: &Robot) -> Result<Robot, Box<dyn Error>> {
     let mut new = Robot::new(robot.config().clone(), None)?;
     new.restore(&robot.snapshot())?;
     Ok(new)
-}
-
-fn robot_config(policy: PolicyKind, options: &RobotOptions) -> RobotConfig {
-    RobotConfig {
-        camera: options.camera,
-        t_base_camera: options.t_base_camera,
-        t_base_laser: hal::Pose2::IDENTITY,
-        forward_step_m: 0.03,
-        rotation_step_rad: 2f64.to_radians(),
-        tick_s: TICK_NS as f64 * 1e-9,
-        localization: LocalizationConfig::default(),
-        command_delay_s: 0.01,
-        policy,
-        seed: options.seed,
-        depth_source: DepthSource::Coarse,
-        coarse: CoarseConfig::default(),
-        dense: DenseConfig::default(),
-        map: MapConfig::default(),
-        plan: PlanConfig { footprint_radius_m: FOOTPRINT_M, ..PlanConfig::default() },
-        follower: FollowerConfig::default(),
-        exploration: ExplorationConfig::default(),
-        stop_without_frames: None,
-        footprint_radius_m: FOOTPRINT_M,
-    }
 }
 
 fn parse(texts: &[&str], seed: u64) -> Result<Vec<Fault>, FaultTextError> {

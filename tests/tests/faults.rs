@@ -72,15 +72,17 @@ fn single_ghost_returns_do_not_stop_the_robot() {
 }
 
 #[test]
-fn without_a_camera_the_bumper_still_works_and_every_turn_says_that_there_is_no_picture() {
-    let ticks = run(PolicyKind::Forward, &["camera:unplug"], 300);
-    assert!(
-        ticks
-            .iter()
-            .all(|tick| tick.decision.events.contains(&Event::NoDepth { why: NoDepth::NoFrame }))
-    );
+fn without_a_camera_the_robot_says_so_in_every_tick_and_stands_after_a_second_until_it_is_back() {
+    let ticks = run(PolicyKind::Forward, &["camera:unplug@3..6"], 100);
+    assert!(path_m(at(&ticks, 1.0..3.0)) > 0.3, "it drives before");
+    let no_frame = Event::NoDepth { why: NoDepth::NoFrame };
+    let without = at(&ticks, 3.1..6.0);
+    assert!(without.iter().all(|tick| tick.decision.events.contains(&no_frame)));
+    assert_eq!(events(&ticks).filter(|event| **event == Event::StandsWithoutFrames).count(), 1);
+    assert!(path_m(at(&ticks, 3.0..4.0)) > 0.1, "a few missing frames do not stop it");
+    assert!(at(&ticks, 4.2..6.0).iter().all(|tick| tick.command() == Twist2::ZERO));
+    assert!(path_m(at(&ticks, 6.0..10.0)) > 0.3, "it goes on");
     assert!(ticks.iter().all(|tick| !tick.contact), "it never touched anything");
-    assert!(path_m(&ticks) > 2.0);
 }
 
 #[test]
@@ -233,9 +235,9 @@ fn a_loop_that_is_woken_late_stops_the_robot_and_time_never_goes_back() {
     assert!(path_m(at(&ticks, 5.0..8.0)) > 0.3, "it goes on");
 }
 
-/// No sensor sees obstacles lower than the scan plane (0.18 m) within 2 m of the default mount (docs/faults.md). One
-/// touch of such an obstacle in six minutes is known; the seeds are not chosen to avoid it. The scanner sees glass here: with
-/// glass and lacquer that it misses, three of the six minutes have a touch (docs/faults.md).
+/// No sensor sees obstacles lower than the scan plane (0.18 m) within 2 m of the default mount (docs/faults.md). In these six
+/// minutes the default robot touches none of them; the seeds are not chosen. The scanner sees glass here: with glass and lacquer
+/// that it misses, one of the six minutes has a touch.
 #[test]
 fn in_minutes_of_random_faults_only_what_no_sensor_sees_is_touched_and_all_repeats_exactly() {
     let mut touched = Vec::new();
@@ -254,7 +256,7 @@ fn in_minutes_of_random_faults_only_what_no_sensor_sees_is_touched_and_all_repea
         let second = run(100);
         assert!(first.iter().zip(&second).all(|(a, b)| a.decision == b.decision), "seed {seed}");
     }
-    assert!(touched.len() <= 1, "touches with the seeds {touched:?}");
+    assert!(touched.is_empty(), "touches with the seeds {touched:?}");
 }
 
 #[test]

@@ -13,6 +13,7 @@ mod dist;
 mod docs;
 mod explore;
 mod fuzz;
+mod ignored;
 mod licences;
 mod live;
 mod localization;

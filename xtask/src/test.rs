@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::{Result, bail, ensure};
 
 use crate::{
-    command, docs, licences, memory_folder, nextest, onnx_runtime, paths, peers, quality,
+    command, docs, ignored, licences, memory_folder, nextest, onnx_runtime, paths, peers, quality,
     real_time, trainer,
 };
 
@@ -46,7 +46,7 @@ pub enum Outcome {
 }
 
 /// A step's name, result and duration in seconds.
-type Step = (&'static str, (Outcome, f64));
+pub type Step = (&'static str, (Outcome, f64));
 
 /// Runs all steps, even after one has failed, so that one run shows every failure.
 ///
@@ -74,9 +74,11 @@ pub fn run(all: bool) -> Result<()> {
     };
     let beside_peers = match has_nextest {
         true => format!(
-            "nextest run {TESTED} --run-ignored only -E not(test(lerobots_own_class)|package(pull-buffer)|package(push-model)|binary(live))"
+            "nextest run {TESTED} --run-ignored only -E not(test(lerobots_own_class)|test(shared_scenes)|package(pull-buffer)|package(push-model)|binary(live))"
         ),
-        false => format!("test {TESTED} --tests -- --ignored {NO_MEASUREMENTS}"),
+        false => {
+            format!("test {TESTED} --tests -- --ignored {NO_MEASUREMENTS} {}", ignored::skipped())
+        }
     };
     let kills = match has_nextest {
         true => format!("nextest run {TESTED} --profile kills"),
@@ -119,6 +121,7 @@ pub fn run(all: bool) -> Result<()> {
             if all || ci { timed(docs::run) } else { (Outcome::Skipped(NO_SITE), 0.0) },
         ),
     ]);
+    outcomes.extend(ignored::steps(&cargo, TESTED, has_nextest, ci));
     outcomes.extend(without_ssh(ci).map(|outcome| ("tests over ssh", (outcome, 0.0))));
     outcomes.extend(trainer_steps(all || ci)?);
     conclude(&outcomes)

@@ -245,9 +245,9 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "needs the shared scenes; set EMBODIED_DEPTH_DATA"]
+    #[ignore = "needs the shared scenes; `cargo xtask test` runs it where they are"]
     fn shared_scenes_have_the_listed_drivable_area() {
-        let Some(scenes) = shared_scenes() else { return };
+        let scenes = shared_scenes();
         // Drivable area by the scenes' list. The floor area that the base covers while driving is
         // slightly larger.
         let listed = [

@@ -5,6 +5,7 @@ use drivers::lidar::LidarConfig;
 use drivers::stop_line::StopLineConfig;
 use drivers::v4l2::CameraDeviceConfig;
 use hal::{CameraModel, Distortion};
+use runtime::robot::{FRAME_TIMEOUT_S, SAFETY_HZ};
 use runtime::safety::{SafetyConfig, needs_second_scan};
 
 use super::Config;
@@ -14,7 +15,7 @@ hal::settings! {
     /// The control loops of a real robot (`firmware-host run`).
     pub struct RunSection {
         /// Rate of the safety loop.
-        safety_hz: f64 = 100.0, in 10.0..=1000.0, unit "Hz";
+        safety_hz: f64 = SAFETY_HZ, in 10.0..=1000.0, unit "Hz";
         /// Real-time priority (SCHED_FIFO) of the safety thread, where the system permits it. 0 makes it an ordinary thread.
         realtime_priority: u8 = 40, in 0..=99;
         /// Whether the robot may move as soon as all devices work. Otherwise, and after a stop that needs a person, it waits for
@@ -39,7 +40,7 @@ hal::settings! {
         /// The robot does not follow a plan that is older than this.
         plan_timeout_s: f64 = 0.5, in 0.05..=2.0, unit "s";
         /// The robot stops when it has not received a camera frame for this long.
-        frame_timeout_s: f64 = 1.0, in 0.1..=10.0, unit "s", was "picture_timeout_s";
+        frame_timeout_s: f64 = FRAME_TIMEOUT_S, in 0.1..=10.0, unit "s", was "picture_timeout_s";
         /// File that `firmware-host health` reads.
         status_file: String = "/run/embodied-depth/status.json".to_owned();
         /// File through which `firmware-host go-to`, `return` and `resume` give the running robot a task.

@@ -195,18 +195,6 @@ fn a_configuration_without_devices_is_valid_and_check_says_that_run_needs_them()
 }
 
 #[test]
-#[cfg(not(feature = "lerobot"))]
-fn a_build_without_lerobot_says_which_build_has_it() {
-    let dir = TempDir::new().unwrap();
-    let (_, run) = explore(&dir, "run", &HOME);
-    let out = dir.path().join("dataset");
-    let [run, out] = [&run, &out].map(|path| path.to_str().unwrap());
-    let refused = firmware_host(&["buffer", "export", run, "--as", "lerobot", "--out", out]);
-    let said = text(&refused.stderr);
-    assert!(refused.status.code() == Some(1) && said.contains("--features lerobot"), "{said}");
-}
-
-#[test]
 fn a_task_without_a_robot_and_a_list_without_a_store_create_nothing_and_say_what_to_give() {
     let dir = TempDir::new().unwrap();
     let nowhere = dir.path().join("nowhere");

@@ -8,7 +8,7 @@ use live_view::robot::Robot;
 use live_view::server;
 use tokio::net::TcpListener;
 
-use super::devtools::{Browser, program};
+use super::devtools::Browser;
 use super::explore::Explore;
 
 /// Serves the page for a run, and returns its address.
@@ -45,11 +45,11 @@ const MAP_IS_SHOWN: &str = "(() => { const map = document.getElementById('map');
     return white > 2000; })()";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs chromium; `cargo xtask test` runs it where that is installed"]
 async fn the_page_shows_a_run_and_its_buttons_act() {
-    let Some(program) = program() else { return };
     let mut run = Explore::start(&["--seed", "1", "--no-recording"]);
     let page = serve(&run).await;
-    let mut browser = Browser::start(program).await;
+    let mut browser = Browser::start().await;
     browser.resize(1280, 800, 1.0).await;
     browser.open(&page).await;
     browser.wait("live data", "document.getElementById('link')?.textContent === 'live'").await;
@@ -86,11 +86,11 @@ async fn the_page_shows_a_run_and_its_buttons_act() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs chromium; `cargo xtask test` runs it where that is installed"]
 async fn a_person_drives_by_hand_with_a_key_and_a_gamepad_chooses_a_policy_and_draws_an_area() {
-    let Some(program) = program() else { return };
     let mut run = Explore::start(&["--seed", "1", "--no-recording"]);
     let page = serve(&run).await;
-    let mut browser = Browser::start(program).await;
+    let mut browser = Browser::start().await;
     browser.resize(1280, 1100, 1.0).await;
     browser.open(&page).await;
     browser.wait("live data", "document.getElementById('link')?.textContent === 'live'").await;
@@ -141,11 +141,11 @@ async fn a_person_drives_by_hand_with_a_key_and_a_gamepad_chooses_a_policy_and_d
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs chromium; `cargo xtask test` runs it where that is installed"]
 async fn a_robot_that_is_gone_is_shown_as_lost_and_as_live_when_it_is_back() {
-    let Some(program) = program() else { return };
     let mut run = Explore::start(&["--seed", "1", "--no-recording"]);
     let page = serve(&run).await;
-    let mut browser = Browser::start(program).await;
+    let mut browser = Browser::start().await;
     browser.open(&page).await;
     browser.wait("live data", "document.getElementById('link')?.textContent === 'live'").await;
     // The page itself measures how long it takes from the last data to the alarm.
@@ -182,11 +182,10 @@ async fn a_robot_that_is_gone_is_shown_as_lost_and_as_live_when_it_is_back() {
 #[ignore = "writes docs/images; `cargo xtask live` runs it"]
 async fn screenshots_for_the_documentation() {
     let images = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/images");
-    let program = program().unwrap();
     let run = Explore::with("[camera]\nwidth = 480\nheight = 144\n", &["--seed", "1"]);
     let page = serve(&run).await;
-    let mut laptop = Browser::start(program).await;
-    let mut phone = Browser::start(program).await;
+    let mut laptop = Browser::start().await;
+    let mut phone = Browser::start().await;
     laptop.resize(1366, 860, 1.0).await;
     phone.resize(360, 780, 2.0).await;
     laptop.open(&page).await;

@@ -133,6 +133,14 @@ impl Location {
         }
     }
 
+    /// Standard deviations of the position, metres, and of the yaw, radians, against the scans of the last metres. `None` before
+    /// the first scan.
+    pub(super) fn pose_std(&self) -> Option<[f64; 2]> {
+        let covariance = self.localizer.as_ref()?.estimate().covariance;
+        let position_m = (covariance[(0, 0)] + covariance[(1, 1)]).max(0.0).sqrt();
+        Some([position_m, covariance[(2, 2)].max(0.0).sqrt()])
+    }
+
     /// The scanner that localization was made for.
     pub(super) fn scanner(&self) -> Option<Geometry> {
         self.geometry

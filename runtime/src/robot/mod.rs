@@ -1,6 +1,7 @@
 //! The exploration plane's decisions: perceive, map, choose a goal, plan, for one tick's input.
 
 mod camera_time;
+mod config;
 mod location;
 mod lost;
 mod map_correction;
@@ -12,7 +13,7 @@ mod wheel_frame;
 
 use std::collections::VecDeque;
 
-use hal::{CameraModel, DepthMap, LaserScan, Pose2, Pose3, Twist2};
+use hal::{DepthMap, LaserScan, Pose2, Pose3, Twist2};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -20,14 +21,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::calibration_watch::CalibrationWatch;
 use crate::event::{Event, RefusedInput};
-use crate::exploration::{ExplorationConfig, Explorer, Observations, PolicyKind};
-use crate::localization::{LocalizationConfig, LocalizationError, Whereabouts};
-use crate::mapping::{MapConfig, MapError, OccupancyGrid, Shadow, SingleFrameMap};
+use crate::exploration::{Explorer, Observations};
+use crate::localization::{LocalizationError, Whereabouts};
+use crate::mapping::{MapError, OccupancyGrid, Shadow, SingleFrameMap};
 use crate::perception::{
-    CoarseConfig, CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth,
-    Moment, NoDepth, PerceptionError,
+    CoarseDepth, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, Moment, NoDepth,
+    PerceptionError,
 };
-use crate::planning::{ConfigError, FollowerConfig, PlanConfig, Primitive};
+use crate::planning::{ConfigError, Primitive};
 use crate::recording::input_digest;
 use crate::safety::SentCommand;
 use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
@@ -39,6 +40,7 @@ use map_correction::MapCorrection;
 use outside_odometry::OutsideOdometry;
 use wheel_frame::WheelFrame;
 
+pub use config::{FRAME_TIMEOUT_S, RobotConfig, SAFETY_HZ, ticks_of_silence};
 pub use location::TickPoses;
 pub use saved_map::{MAP_STATE_VERSION, MapStateError, SavedMap};
 
@@ -57,7 +59,6 @@ pub enum DepthSource {
 }
 
 impl DepthSource {
-    /// Every source.
     pub const ALL: [Self; 4] = [Self::Coarse, Self::Dense, Self::Network, Self::Truth];
 
     /// The name on the command line, in the summary and in recordings.
@@ -70,50 +71,6 @@ impl DepthSource {
             Self::Truth => "truth",
         }
     }
-}
-
-/// Everything that shapes a decision, besides the inputs and the model.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RobotConfig {
-    /// Intrinsics of the frames.
-    pub camera: CameraModel,
-    /// Pose of `camera_optical` in `base_link`.
-    pub t_base_camera: Pose3,
-    /// Pose of `laser` in `base_link`, in the scan plane.
-    pub t_base_laser: Pose2,
-    /// Length of the forward primitive, metres.
-    pub forward_step_m: f64,
-    /// Angle of the rotation primitives, radians.
-    pub rotation_step_rad: f64,
-    /// Duration of one tick, seconds.
-    pub tick_s: f64,
-    /// Section `[localization]`.
-    pub localization: LocalizationConfig,
-    /// Time from a decision to the motion that it causes, seconds. The path is followed from the pose at which the robot will be
-    /// by then.
-    pub command_delay_s: f64,
-    /// How goals are chosen.
-    pub policy: PolicyKind,
-    /// Seed of the policy's random numbers.
-    pub seed: u64,
-    /// Where the map's depth comes from.
-    pub depth_source: DepthSource,
-    /// Section `[coarse]`: coarse depth.
-    pub coarse: CoarseConfig,
-    /// Section `[dense]`: dense depth.
-    pub dense: DenseConfig,
-    /// Section `[map]`.
-    pub map: MapConfig,
-    /// Section `[planning]`: costs and search.
-    pub plan: PlanConfig,
-    /// How paths become motion primitives.
-    pub follower: FollowerConfig,
-    /// Section `[exploration]`: choice of goals.
-    pub exploration: ExplorationConfig,
-    /// The robot stops after this many ticks in a row without a frame, until a frame arrives. `None`: it goes on by its map.
-    pub stop_without_frames: Option<u64>,
-    /// Radius of the robot's footprint, metres. The floor under the footprint is mapped as free.
-    pub footprint_radius_m: f64,
 }
 
 /// Which part of the configuration cannot be used, and why.
@@ -159,7 +116,7 @@ pub trait StageTimer {
     fn ended(&mut self, stage: Stage);
 }
 
-/// Measures nothing.
+/// A timer that measures nothing.
 impl StageTimer for () {
     fn ended(&mut self, _stage: Stage) {}
 }
@@ -654,6 +611,13 @@ impl Robot {
             Primitive::ArcRight => Twist2 { linear_mps: forward / 2.0, angular_radps: -yaw_rate },
             Primitive::Stay => Twist2::ZERO,
         }
+    }
+
+    /// Standard deviations of the position, metres, and of the yaw, radians, against the scans of the last metres; the drift of the
+    /// map over longer distances is not in them. `None` before the first scan.
+    #[must_use]
+    pub fn pose_std(&self) -> Option<[f64; 2]> {
+        self.location.pose_std()
     }
 
     /// The highest speed, m/s, and the highest yaw rate, rad/s, that the robot desires.

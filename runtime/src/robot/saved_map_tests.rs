@@ -1,8 +1,9 @@
-use hal::{CameraModel, LaserScan, Pose2, Pose3, Range, ScanGeometry};
+use hal::{CameraModel, LaserScan, Pose2, Range, RobotDescription, ScanGeometry};
 
 use super::*;
-use crate::localization::PoseSource;
-use crate::planning::FollowerConfig;
+use crate::exploration::PolicyKind;
+use crate::localization::{LocalizationConfig, PoseSource};
+use crate::mapping::MapConfig;
 use crate::recording::RecordedTick;
 use crate::session::recompute;
 
@@ -17,27 +18,11 @@ const GEOMETRY: ScanGeometry = ScanGeometry {
 };
 
 fn config() -> RobotConfig {
-    RobotConfig {
-        camera: CameraModel::pinhole(64, 32, 1.5),
-        t_base_camera: Pose3::identity(),
-        t_base_laser: Pose2::IDENTITY,
-        forward_step_m: 0.03,
-        rotation_step_rad: 2f64.to_radians(),
-        tick_s: 0.1,
-        localization: LocalizationConfig::default(),
-        command_delay_s: 0.01,
-        policy: PolicyKind::Frontier,
-        seed: 1,
-        depth_source: DepthSource::Coarse,
-        coarse: CoarseConfig::default(),
-        dense: DenseConfig::default(),
-        map: MapConfig { side_cells: 256, recenter_cells: 20, ..MapConfig::default() },
-        plan: PlanConfig::default(),
-        follower: FollowerConfig::default(),
-        exploration: ExplorationConfig::default(),
-        stop_without_frames: None,
-        footprint_radius_m: 0.16,
-    }
+    let camera = CameraModel::pinhole(64, 32, 1.5);
+    let default = RobotConfig::of(&RobotDescription::default(), camera, PolicyKind::Frontier, 1);
+    // A small map, because it is written to a snapshot.
+    let map = MapConfig { side_cells: 256, recenter_cells: 20, ..default.map };
+    RobotConfig { map, ..default }
 }
 
 fn robot() -> Robot {

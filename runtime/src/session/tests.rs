@@ -4,17 +4,14 @@ use std::sync::{Arc, Mutex};
 
 use hal::{
     Base, CameraModel, Clock, DriveCommand, ErrorKind, ErrorType, ImageView, LaserScan, Lidar,
-    Pose2, Pose3, Range, ScanGeometry, Twist2, VirtualClock, WheelFeedback,
+    Pose2, Range, RobotDescription, ScanGeometry, Twist2, VirtualClock, WheelFeedback,
 };
 
 use super::*;
 use crate::event::{Event, SafetyEvent};
-use crate::exploration::{ExplorationConfig, PolicyKind};
-use crate::localization::{LocalizationConfig, LostReason};
-use crate::mapping::MapConfig;
-use crate::perception::{CoarseConfig, DenseConfig};
-use crate::planning::{FollowerConfig, PlanConfig};
-use crate::robot::{DepthSource, RobotConfig, Stage};
+use crate::exploration::PolicyKind;
+use crate::localization::LostReason;
+use crate::robot::{RobotConfig, Stage};
 use crate::safety::SentCommand;
 use crate::safety::{Request, SafetyConfig, SafetyLoop};
 use crate::tick::Command;
@@ -184,27 +181,10 @@ impl Observer for Record {
 }
 
 fn robot() -> Robot {
-    let config = RobotConfig {
-        camera: CameraModel::pinhole(64, 32, 1.5),
-        t_base_camera: Pose3::identity(),
-        t_base_laser: Pose2::IDENTITY,
-        forward_step_m: 0.03,
-        rotation_step_rad: 2f64.to_radians(),
-        tick_s: 0.1,
-        localization: LocalizationConfig::default(),
-        command_delay_s: 0.01,
-        policy: PolicyKind::Forward,
-        seed: 1,
-        depth_source: DepthSource::Coarse,
-        coarse: CoarseConfig::default(),
-        dense: DenseConfig::default(),
-        map: MapConfig::default(),
-        plan: PlanConfig::default(),
-        follower: FollowerConfig::default(),
-        exploration: ExplorationConfig::default(),
-        stop_without_frames: None,
-        footprint_radius_m: 0.16,
-    };
+    let camera = CameraModel::pinhole(64, 32, 1.5);
+    let default = RobotConfig::of(&RobotDescription::default(), camera, PolicyKind::Forward, 1);
+    // It has no camera, and drives by its scanner and its wheels.
+    let config = RobotConfig { stop_without_frames: None, ..default };
     Robot::new(config, None).unwrap()
 }
 

@@ -62,7 +62,9 @@ pub fn run(arch: Option<Arch>) -> Result<()> {
     Ok(())
 }
 
-const BUILD: [&str; 4] = ["build", "--locked", "--release", "--no-default-features"];
+/// The simulator is a default feature.
+const FEATURES: &str = "--no-default-features";
+const BUILD: [&str; 4] = ["build", "--locked", "--release", FEATURES];
 
 /// Cargo's arguments for the packages of the programs.
 fn packages() -> impl Iterator<Item = &'static str> {
@@ -77,4 +79,25 @@ fn build() -> Result<PathBuf> {
     cargo.args(BUILD).args(packages()).arg("--target-dir").arg(&folder);
     command::run(&mut cargo)?;
     Ok(folder.join("release"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Names of all crates that a build of the package's programs contains.
+    fn crates(features: Option<&str>) -> Vec<String> {
+        let mut cargo = command::cargo();
+        cargo.args(["tree", "--offline", "--locked", "--edges=normal", "--prefix=none"]);
+        cargo.args(["--format={p}"]).args(features).args(packages());
+        let text = command::output(&mut cargo).unwrap();
+        text.lines().filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn the_robots_package_contains_no_simulator() {
+        let has_simulator = |features| crates(features).iter().any(|name| name == "simulator");
+        assert!(has_simulator(None), "a build that has one is recognized");
+        assert!(!has_simulator(Some(FEATURES)));
+    }
 }

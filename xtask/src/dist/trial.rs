@@ -35,7 +35,10 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
     // The package's program has no simulator. This computer's own build explores, and the package's program replays.
     let simulated = simulated(&folder)?;
     let recording = simulated.explore("coarse", &["--frames", "20"])?;
-    command::run(firmware(&["replay"]).arg(recording))?;
+    command::run(firmware(&["replay"]).arg(&recording))?;
+    refuses_lerobot(
+        firmware(&["buffer", "export", "--as", "lerobot", "--out", "/nonexistent"]).arg(&recording),
+    )?;
     if arch.is_this_computers() {
         // ONNX Runtime crashes under emulation when it queries the processor's model.
         let model = root.join("usr/share/embodied-depth/default.onnx");
@@ -45,6 +48,14 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
         models(&root, &folder, &simulated, firmware)?;
     }
     service(&root)
+}
+
+/// The package's program is built without Parquet, and says which build exports to LeRobot.
+fn refuses_lerobot(export: &mut Command) -> Result<()> {
+    let output = export.output()?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(!output.status.success() && said.contains("--features lerobot"), "unexpected: {said}");
+    Ok(())
 }
 
 /// This computer's build of the program, which has the simulator.

@@ -282,24 +282,20 @@ fn a_hand_made_home_loads_alike_from_glb_and_obj() {
     }
 }
 
-/// The larger scenes for development. `None` where neither `EMBODIED_DEPTH_DATA` is set nor the
-/// default folder exists.
-pub(crate) fn shared_scenes() -> Option<PathBuf> {
+/// The larger scenes for development, in `EMBODIED_DEPTH_DATA` or the default folder. Tests that call this are ignored unless
+/// somebody asks for them.
+pub(crate) fn shared_scenes() -> PathBuf {
     let configured = std::env::var_os("EMBODIED_DEPTH_DATA").map(PathBuf::from);
     let default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let scenes = configured.clone().unwrap_or_else(default).join("scenes");
-    if scenes.is_dir() {
-        return Some(scenes);
-    }
-    assert!(configured.is_none(), "EMBODIED_DEPTH_DATA has no folder {}", scenes.display());
-    eprintln!("skipped: there are no scenes in {}; set EMBODIED_DEPTH_DATA", scenes.display());
-    None
+    let scenes = configured.unwrap_or_else(default).join("scenes");
+    assert!(scenes.is_dir(), "there is no folder {}; set EMBODIED_DEPTH_DATA", scenes.display());
+    scenes
 }
 
 #[test]
-#[ignore = "needs the shared scenes; set EMBODIED_DEPTH_DATA"]
+#[ignore = "needs the shared scenes; `cargo xtask test` runs it where they are"]
 fn shared_scenes_load() {
-    let Some(scenes) = shared_scenes() else { return };
+    let scenes = shared_scenes();
     for (name, least) in [("bathroom", 100_000), ("living-room", 60_000), ("aws_warehouse", 14_000)]
     {
         let loaded = load(&scenes.join(format!("{name}.glb")), &LoadOptions::default()).unwrap();

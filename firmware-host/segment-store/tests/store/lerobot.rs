@@ -215,7 +215,7 @@ fn nothing_is_overwritten_and_a_failed_export_leaves_nothing_behind() {
 }
 
 #[test]
-#[ignore = "needs LEROBOT_PYTHON: the path of a Python with the packages lerobot and mcap"]
+#[ignore = "needs LEROBOT_PYTHON: the path of a Python with the packages lerobot and mcap; `cargo xtask test` runs it then"]
 fn lerobots_own_class_reads_the_same_data_as_the_recording() {
     let python = std::env::var("LEROBOT_PYTHON").expect("LEROBOT_PYTHON is not set");
     let dir = tempdir().unwrap();

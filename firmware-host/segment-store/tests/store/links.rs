@@ -13,7 +13,7 @@ use tempfile::{TempDir, tempdir};
 
 /// What a link does to the bytes from the robot at a given offset.
 enum Fault {
-    /// Ends there.
+    /// The connection ends there.
     Cut,
     /// Flips a bit of the byte there.
     Flip,
