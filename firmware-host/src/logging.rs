@@ -25,6 +25,9 @@ pub fn start() {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
+    use crate::run::log_agreement;
+    use crate::setup::lidar_agreement;
     use std::sync::{Arc, Mutex};
 
     #[derive(Clone, Default)]
@@ -50,12 +53,13 @@ mod tests {
             .with_writer(move || writer.clone())
             .finish();
         tracing::subscriber::with_default(log, || {
-            tracing::info!(target: "firmware_host::run::exploration", "the LiDAR agrees");
+            let agreement = lidar_agreement(&Config::default());
+            log_agreement(&agreement, &mut Some(0), u64::MAX);
             tracing::info!(target: "firmware_host::setup", "which library");
             tracing::warn!(target: "simulator", "which axis");
         });
         let text = String::from_utf8(written.0.lock().unwrap().clone()).unwrap();
-        assert!(text.contains("the LiDAR agrees") && text.contains("which axis"), "{text}");
+        assert!(text.contains("the LiDAR's scan plane") && text.contains("which axis"), "{text}");
         assert!(!text.contains("which library"), "{text}");
     }
 }

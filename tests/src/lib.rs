@@ -4,6 +4,10 @@
 //! [`drivers::fault`].
 #![forbid(unsafe_code)]
 
+// First, because its macros replace those of the standard library in the modules below.
+#[macro_use]
+mod output;
+
 pub mod hokuyo;
 pub mod kills;
 pub mod ld06;

@@ -6,26 +6,49 @@
 )]
 
 use std::io::{BufRead, BufReader};
-use std::process::{Command, Stdio};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
 
 use assert_cmd::cargo::CommandCargoExt;
 use rustix::process::{Pid, Signal, kill_process};
+
+/// A world, and the lines that it prints, after it is ready.
+fn world(folder: &Path) -> (Child, impl Iterator<Item = String>) {
+    let mut world = Command::cargo_bin("hil")
+        .unwrap()
+        .args(["world", "--frame-size", "160x64", "--dir"])
+        .arg(folder)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(world.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|line| line.contains("is ready")));
+    (world, lines)
+}
+
+fn end(world: &Child, signal: Signal) {
+    kill_process(Pid::from_raw(world.id() as i32).unwrap(), signal).unwrap();
+}
 
 #[test]
 fn a_world_that_is_ended_by_a_signal_says_how_the_robot_drove() {
     for signal in [Signal::INT, Signal::TERM, Signal::HUP] {
         let folder = tempfile::tempdir().unwrap();
-        let mut world = Command::cargo_bin("hil")
-            .unwrap()
-            .args(["world", "--frame-size", "160x64", "--dir"])
-            .arg(folder.path())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut lines = BufReader::new(world.stdout.take().unwrap()).lines().map(Result::unwrap);
-        assert!(lines.any(|line| line.contains("is ready")));
-        kill_process(Pid::from_raw(world.id() as i32).unwrap(), signal).unwrap();
+        let (mut world, mut lines) = world(folder.path());
+        end(&world, signal);
         assert!(lines.any(|line| line.starts_with("world: path_m=")), "{signal:?}");
         assert!(world.wait().unwrap().success(), "{signal:?}");
     }
+}
+
+#[test]
+fn a_world_whose_output_is_not_read_any_more_ends_without_a_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let (world, lines) = world(folder.path());
+    drop(lines);
+    end(&world, Signal::TERM);
+    let output = world.wait_with_output().unwrap();
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+    assert!(output.status.success());
 }

@@ -120,7 +120,7 @@ impl Tokens {
 /// What protects the bytes between a client and this program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Transport {
-    /// Nothing.
+    /// No encryption: only for a network that is trusted.
     Plain,
     /// TLS of this program.
     Tls,
@@ -185,7 +185,7 @@ impl Access {
         // A token is not sent by a browser on its own, so the page that sends it was given it.
         if let Some(tokens) = &self.tokens {
             let found = client.token.and_then(|token| tokens.find(token));
-            return found.cloned().ok_or("a token is needed, and this is none");
+            return found.cloned().ok_or("the token is missing or invalid");
         }
         // Without tokens, a page of the internet in a browser on this computer must not steer the robot: neither from its own
         // origin, nor by a name of its own that it lets point to this computer.

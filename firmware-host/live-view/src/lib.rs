@@ -10,7 +10,7 @@ pub mod access;
 mod layout;
 mod page;
 pub mod protocol;
-mod publish;
+pub mod publish;
 pub mod robot;
 pub mod server;
 mod session;

@@ -1,6 +1,8 @@
 //! The program. `live-view --help` lists its options.
 #![forbid(unsafe_code)]
 
+use std::fmt;
+use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -115,13 +117,13 @@ async fn serve(args: &Args, access: Access, tls: Option<Arc<ServerConfig>>) -> R
 
 fn announce(address: SocketAddr, robot: &Path, access: &Access, has_tls: bool) {
     let [http, ws] = if has_tls { ["https", "wss"] } else { ["http", "ws"] };
-    println!("page:     {http}://{address}/");
-    println!("Foxglove: {ws}://{address}/  (Open connection, Foxglove WebSocket)");
-    println!("robot:    {}", robot.display());
+    print_line(format_args!("page:     {http}://{address}/"));
+    print_line(format_args!("Foxglove: {ws}://{address}/  (Open connection, Foxglove WebSocket)"));
+    print_line(format_args!("robot:    {}", robot.display()));
     if access.needs_token() {
-        println!(
+        print_line(format_args!(
             "Every client needs a token: {http}://{address}/#token=TOKEN, {ws}://{address}/?token=TOKEN"
-        );
+        ));
     }
 }
 
@@ -129,6 +131,11 @@ fn write_layout(path: &Path) -> Result<()> {
     let json = serde_json::to_string_pretty(&layout())?;
     std::fs::write(path, json)
         .with_context(|| format!("cannot write the layout to {}", path.display()))?;
-    println!("layout:   {}", path.display());
+    print_line(format_args!("layout:   {}", path.display()));
     Ok(())
+}
+
+/// Prints a line if standard output is read. `println!` panics if it is not, as in `live-view | head -1`.
+fn print_line(line: fmt::Arguments<'_>) {
+    let _ = writeln!(io::stdout(), "{line}");
 }

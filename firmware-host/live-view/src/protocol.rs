@@ -15,7 +15,7 @@ use runtime::operator::Role;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-/// The subprotocols that are spoken here, the preferred one first. The older name has the same messages.
+/// The supported subprotocols, the preferred one first. The older name has the same messages.
 pub const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 
 const MESSAGE_DATA: u8 = 1;
@@ -40,7 +40,6 @@ pub enum Request {
     Publish {
         /// The client's channel.
         channel: u32,
-        /// The message.
         payload: Vec<u8>,
     },
     /// A call of a service.
@@ -49,7 +48,7 @@ pub enum Request {
     Other,
 }
 
-/// A subscription.
+/// A client's subscription to a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 pub struct Subscription {
     /// Chosen by the client.
@@ -77,7 +76,7 @@ pub struct Call {
     pub service: u32,
     /// Chosen by the client; the response has it too.
     pub id: u32,
-    /// The request.
+    /// Body of the request.
     pub payload: Vec<u8>,
 }
 

@@ -27,7 +27,7 @@ const MOST_BYTES: usize = 8 << 20;
 /// Bytes that are read at once.
 const PIECE: usize = 64 << 10;
 
-/// The robot.
+/// A handle to the connection, which all clients share.
 #[derive(Clone)]
 pub struct Robot {
     shared: Arc<Shared>,

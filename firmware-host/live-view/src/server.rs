@@ -131,7 +131,7 @@ async fn enter(
     let upgrade =
         upgrade.protocols(SUBPROTOCOLS).max_message_size(MOST_BYTES).max_frame_size(MOST_BYTES);
     if upgrade.selected_protocol().is_none() {
-        let why = format!("the subprotocol {} is spoken here\n", SUBPROTOCOLS[0]);
+        let why = format!("use the subprotocol {}\n", SUBPROTOCOLS[0]);
         return (StatusCode::BAD_REQUEST, why).into_response();
     }
     upgrade

@@ -32,7 +32,7 @@ const ANSWERS: usize = 64;
 /// Subscriptions and channels of one client.
 const MOST_SUBSCRIPTIONS: usize = 256;
 
-/// A client.
+/// The connection with one client.
 pub struct Session {
     robot: Robot,
     identity: Identity,

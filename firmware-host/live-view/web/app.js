@@ -108,7 +108,7 @@ function look() {
 function lostText(age) {
   const since = `for ${(age / 1000).toFixed(0)} s`;
   if (!state.wasOpen) return "No link to live-view. If it needs a token, add #token=TOKEN to the address.";
-  if (!state.open) return `The link to live-view is lost ${since}. The robot goes on by itself; STOP does not reach it from here.`;
+  if (!state.open) return `The link to live-view is lost ${since}. The robot continues without it; STOP does not reach the robot from here.`;
   if (state.robot) return `No robot: ${state.robot}. STOP does not reach it from here.`;
   return `The robot has sent nothing ${since}. What is shown is old.`;
 }
@@ -195,7 +195,8 @@ document.addEventListener("keydown", (event) => {
     return;
   }
   if (hand.takes(event.key) || event.target.matches("input, select") || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
-  const keys = { a: "arm", p: "pause", r: "resume" };
+  // No key arms the robot: the same keys drive it by hand, and a person may not notice that this mode has ended.
+  const keys = { p: "pause", r: "resume" };
   if (keys[event.key] && state.role === "steer") order(keys[event.key]);
   if (event.key === "f") map.setFollows(!map.follows);
 });

@@ -120,11 +120,13 @@ export class MapView {
     context.restore();
   }
 
+  // In the upper left corner, on a narrow screen below the buttons.
   paintScale(context) {
     const metres = [0.5, 1, 2, 5, 10, 20].find((metres) => metres * this.scale > 60) ?? 50;
     const left = 16;
     const right = left + metres * this.scale;
-    const y = 34;
+    const tools = this.canvas.parentElement.querySelector(".map-tools");
+    const y = 34 + (tools.offsetLeft < right + 8 ? tools.offsetHeight : 0);
     context.fillStyle = "#fffffff0";
     context.fillRect(left - 8, y - 24, right - left + 16, 32);
     context.strokeStyle = context.fillStyle = COLORS.ink;

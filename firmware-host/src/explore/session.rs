@@ -355,11 +355,12 @@ impl Observer for RunLog {
         input: &TickInput<'_>,
         decision: &Decision,
     ) -> Result<(), Failure> {
-        self.stopwatch.since(self.started, Stage::Total);
         if let Some(watched) = &mut self.watched {
+            self.stopwatch.start();
             watched.live.offer(robot, input, decision, self.started.elapsed());
             self.stopwatch.lap(Stage::Live);
         }
+        self.stopwatch.since(self.started, Stage::Total);
         self.digest.add_input(input);
         self.digest.add_decision(decision);
         self.world.depth(&mut self.true_depth);

@@ -5,7 +5,7 @@ use base64::engine::general_purpose::STANDARD;
 use foxglove::{Encode, messages as fox};
 use live_link::Channel;
 
-/// A channel.
+/// A channel of the live view, by what it shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Topic {
     /// State of the robot, after every tick.
@@ -114,6 +114,7 @@ const NOW: &str = r#"{"title":"robot.Now","type":"object","properties":{
 "tick":{"type":"integer"},"run_s":{"type":"number"},"plane":{"type":"string"},
 "stands":{"type":"boolean"},"needs_person":{"type":"boolean"},"why":{"type":"string"},
 "x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_deg":{"type":"number"},
+"position_std_m":{"type":"number"},"yaw_std_deg":{"type":"number"},
 "goal":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"why":{"type":"string"}}},
 "linear_mps":{"type":"number"},"angular_radps":{"type":"number"},
 "most_mps":{"type":"number"},"most_radps":{"type":"number"},
@@ -144,6 +145,40 @@ mod tests {
                 let schema: serde_json::Value = serde_json::from_str(&channel.schema).unwrap();
                 assert_eq!(schema["title"], channel.schema_name);
             }
+        }
+    }
+
+    /// Topics that the layout shows: keys and values that begin with a slash. A plot's path goes on with fields after a dot.
+    fn topics_in(layout: &serde_json::Value, found: &mut Vec<String>) {
+        let mut note = |text: &str| {
+            let topic = text.split('.').next().filter(|text| text.starts_with('/'));
+            found.extend(topic.map(str::to_owned));
+        };
+        match layout {
+            serde_json::Value::String(text) => note(text),
+            serde_json::Value::Array(values) => {
+                values.iter().for_each(|value| topics_in(value, found));
+            }
+            serde_json::Value::Object(values) => {
+                values.keys().for_each(|key| note(key));
+                values.values().for_each(|value| topics_in(value, found));
+            }
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn every_topic_that_the_foxglove_layout_shows_is_a_channel() {
+        let mut layout = live_view::layout();
+        let panels = layout["configById"].as_object_mut().unwrap();
+        // What the layout sends: orders, places and velocities.
+        panels.retain(|id, _| !id.starts_with("CallService!") && !id.starts_with("Teleop!"));
+        panels["3D!map"]["publish"].take();
+        let mut named = Vec::new();
+        topics_in(&layout, &mut named);
+        assert!(named.len() >= Topic::ALL.len(), "{named:?}");
+        for topic in named {
+            assert!(Topic::ALL.iter().any(|known| known.name() == topic), "{topic}");
         }
     }
 }

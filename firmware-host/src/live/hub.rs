@@ -13,7 +13,7 @@ const MOST_FRAMES: usize = 64;
 /// Bytes that wait for a client: a second of everything.
 const MOST_BYTES: usize = 8 << 20;
 
-/// The clients.
+/// The connected clients and the topics that they want.
 #[derive(Debug, Default)]
 pub struct Hub {
     clients: Mutex<Vec<Arc<Client>>>,
@@ -23,7 +23,7 @@ pub struct Hub {
     fresh: AtomicU32,
 }
 
-/// One client.
+/// The queue of one client.
 #[derive(Debug)]
 pub struct Client {
     queue: SyncSender<Arc<[u8]>>,

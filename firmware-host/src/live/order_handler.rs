@@ -46,7 +46,7 @@ pub struct Abilities {
     pub drawn: usize,
 }
 
-/// Takes orders.
+/// Checks the orders of clients and passes them to the safety plane or to the exploration loop.
 pub struct OrderHandler {
     panel: ControlPanel,
     to_loop: SyncSender<LoopOrder>,
@@ -232,7 +232,7 @@ impl OrderHandler {
         self.to_loop.try_send(order).map(|()| says.to_owned()).map_err(|error| {
             match error {
                 TrySendError::Full(_) => {
-                    "the robot has not taken the orders before: it hangs or is busy"
+                    "earlier orders are still queued; the exploration loop is busy or has stopped responding"
                 }
                 TrySendError::Disconnected(_) => "the robot is ending its run",
             }

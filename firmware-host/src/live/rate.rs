@@ -31,7 +31,7 @@ impl Pulse {
     }
 }
 
-/// Waits.
+/// Sleeps for `duration` on the monotonic clock.
 pub fn pause(duration: Duration) {
     let mut clock = MonotonicClock;
     clock.sleep_until_ns(clock.now_ns() + duration.as_nanos() as u64);

@@ -30,6 +30,11 @@ pub struct Now {
     x_m: f64,
     y_m: f64,
     yaw_deg: f64,
+    /// Standard deviations of position and yaw against the scans of the last metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    position_std_m: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    yaw_std_deg: Option<f64>,
     goal: Option<Goal>,
     /// The command in force.
     linear_mps: f64,
@@ -61,7 +66,7 @@ pub struct StateTracker {
 #[derive(Debug, Clone, Default)]
 struct Memory {
     plane: Plane,
-    /// Why the last request to arm was void.
+    /// Why the last request to arm was cancelled.
     lapsed: Option<FaultReason>,
     task: Option<Task>,
     lost: Option<LostReason>,
@@ -144,6 +149,8 @@ impl StateTracker {
             x_m,
             y_m,
             yaw_deg: yaw_rad.to_degrees(),
+            position_std_m: robot.pose_std().map(|[position_m, _]| position_m),
+            yaw_std_deg: robot.pose_std().map(|[_, yaw_rad]| yaw_rad.to_degrees()),
             goal: self.memory.goal.map(|(why, [x_m, y_m])| Goal { x_m, y_m, why: why.name() }),
             linear_mps: sent.linear_mps,
             angular_radps: sent.angular_radps,
@@ -185,17 +192,17 @@ impl Memory {
             Plane::Clear | Plane::Slow => None,
             Plane::Disarmed => Some(match self.lapsed {
                 Some(why) => needs_person(format!(
-                    "Not armed. The last request to arm is void: {}. See to it, then press Arm.",
+                    "Not armed. Arming was cancelled: {}. Fix the cause, then press Arm.",
                     fault_reason(why)
                 )),
                 None => needs_person("Not armed. Press Arm when it may move.".to_owned()),
             }),
             Plane::Fault(why) if why.needs_person() => Some(needs_person(format!(
-                "Stopped: {}. See to it, then press Arm.",
+                "Stopped: {}. Fix the cause, then press Arm.",
                 fault_reason(why)
             ))),
             Plane::Fault(why) => Some(stands(format!(
-                "Stopped: {}. It goes on by itself when that is over.",
+                "Stopped: {}. The robot resumes automatically when this condition clears.",
                 fault_reason(why)
             ))),
             Plane::Tripped => Some(stands("Stopped: an obstacle is too near.")),

@@ -18,7 +18,6 @@ pub type AnyBase = DifferentialBase<Box<dyn CanBus + Send>>;
 /// The safety loop's devices, as the rest of the program sees them.
 #[derive(Debug, Clone)]
 pub struct Monitors {
-    /// The scanner.
     pub lidar: LidarMonitor,
     /// The emergency stop on an input line of the computer, if there is one.
     pub stop_line: Option<StopLineMonitor>,

@@ -282,6 +282,11 @@ impl Observer for RunLog {
         input: &TickInput<'_>,
         decision: &Decision,
     ) -> Result<()> {
+        if let Some(live) = &mut self.live {
+            self.stopwatch.start();
+            live.offer(robot, input, decision, self.started.elapsed());
+            self.stopwatch.lap(Stage::Live);
+        }
         self.stopwatch.since(self.started, Stage::Total);
         self.line.observe(input, robot.compared_depth());
         log_agreement(&self.line, &mut self.line_logged_ns, input.time_ns);
@@ -291,11 +296,6 @@ impl Observer for RunLog {
         }
         self.note(decision, &input.wheel);
         self.sample(robot, input);
-        if let Some(live) = &mut self.live {
-            self.stopwatch.start();
-            live.offer(robot, input, decision, self.started.elapsed());
-            self.stopwatch.lap(Stage::Live);
-        }
         self.record(robot, input, decision)?;
         self.frames += u64::from(input.frame.is_some());
         Ok(())
@@ -315,7 +315,7 @@ fn calibration(robot: &Robot, now_ns: u64) -> CalibrationStatus {
 }
 
 /// Logs once a minute how well the depth agrees with the LiDAR.
-fn log_agreement(monitor: &LidarAgreement, logged_ns: &mut Option<u64>, now_ns: u64) {
+pub(crate) fn log_agreement(monitor: &LidarAgreement, logged_ns: &mut Option<u64>, now_ns: u64) {
     let last_ns = logged_ns.get_or_insert(now_ns);
     if now_ns.saturating_sub(*last_ns) < LOG_LINE_EVERY_NS {
         return;

@@ -53,6 +53,8 @@ use crate::report::latency::Stage;
 use crate::report::summary::{CameraLatency, LidarLine, Summary, peak_resident_mib};
 use crate::setup::{self, Mission};
 use crate::task::TaskFile;
+#[cfg(test)]
+pub(crate) use exploration::log_agreement;
 use exploration::{Exploration, RunLog};
 use last_stop::StopFile;
 use live_devices::LiveDevices;
@@ -137,7 +139,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
         match &operator.last_stop {
             None => safety.panel.arm(),
             Some(stop) => tracing::warn!(
-                "the robot does not arm on its own after its last stop ({}): see to it, then send SIGUSR1",
+                "the robot does not arm on its own after its last stop ({}): fix the cause, then send SIGUSR1",
                 stop.why
             ),
         }

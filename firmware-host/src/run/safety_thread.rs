@@ -46,7 +46,7 @@ pub struct LoopStatus {
     pub state: SafetyState,
     /// Time of the last change of `state`, monotonic.
     pub since_ns: u64,
-    /// Why the last request to arm was void, until a later one is followed.
+    /// Why the last request to arm was cancelled, until a later one is followed.
     pub lapsed: Option<FaultReason>,
     /// Number of obstacles for which the robot has stopped.
     pub trips: u64,
@@ -210,7 +210,8 @@ where
         loop {
             clock.sleep_until_ns(due_ns);
             let now_ns = clock.now_ns();
-            note_delay(now_ns - due_ns, &mut status, &mut late);
+            late.record(now_ns - due_ns);
+            status.worst_late_ns = status.worst_late_ns.max(now_ns - due_ns);
             if self.stop.load(Ordering::Acquire) {
                 let ends_ns = *ends_ns.get_or_insert(now_ns + DISARMING_NS);
                 let released = self.task.control().base().phase() == drivers::can::Phase::Disarmed;
@@ -225,8 +226,8 @@ where
             let now_ns = clock.now_ns();
             let missed = missed_steps(due_ns, now_ns, period_ns);
             if missed > 0 {
-                // The step after them starts in time, but the first of them would have been late.
-                note_delay(now_ns - due_ns, &mut status, &mut late);
+                // The step after them starts in time, but the first of them would have been this late.
+                late.record(now_ns - due_ns);
                 status.skipped += missed;
                 due_ns += missed * period_ns;
             }
@@ -269,13 +270,7 @@ where
     }
 }
 
-/// Counts a step that started this much later than it was due.
-fn note_delay(late_ns: u64, status: &mut LoopStatus, late: &mut LatencyHistogram) {
-    late.record(late_ns);
-    status.worst_late_ns = status.worst_late_ns.max(late_ns);
-}
-
-/// Why the last request to arm was void, after a step with this event.
+/// Why the last request to arm was cancelled, after a step with this event.
 fn lapsed_after(event: Option<SafetyEvent>, before: Option<FaultReason>) -> Option<FaultReason> {
     match event {
         Some(SafetyEvent::ArmingLapsed { why }) => Some(why),

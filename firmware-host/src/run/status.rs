@@ -292,7 +292,7 @@ impl Status {
                 _ => state,
             };
             worries.push(format!(
-                "the robot needs a person ({why}): see to it, then `kill -USR1 {}` arms it",
+                "the robot needs a person ({why}): fix the cause, then `kill -USR1 {}` arms it",
                 self.pid
             ));
         } else if self.safety.state.starts_with("fault") {

@@ -45,7 +45,7 @@ pub struct Supervision {
     /// A stop that needs a person is in the file.
     held: Arc<AtomicBool>,
     last_stop: Option<LastStop>,
-    /// Why the last request to arm was void, as far as it was reported.
+    /// Why the last request to arm was cancelled, as far as it was reported.
     lapsed: Option<FaultReason>,
     unwritable: bool,
     devices: DeviceLog,
@@ -117,7 +117,7 @@ impl Supervision {
         if self.lapsed != safety_status.lapsed {
             self.lapsed = safety_status.lapsed;
             if let Some(why) = self.lapsed {
-                let why = format!("the request to arm is void: {}", fault_reason(why));
+                let why = format!("arming was cancelled: {}", fault_reason(why));
                 tracing::warn!("{why}; send SIGUSR1 to arm");
                 self.last_stop = Some(LastStop { why, unix_s: unix_s() });
             }

@@ -1,13 +1,19 @@
 use live_link::{Frame, FrameReader, Line, LineReader};
-use live_view::protocol;
+use live_view::access::Tokens;
+use live_view::{protocol, publish};
 
 /// Arbitrary bytes as what a client of the live view sends to the robot, as what the robot sends to the view, and as what a browser
-/// sends to the view. What can be read comes back unchanged, and the pieces in which it comes do not matter.
+/// sends to the view, as what it publishes, and as a file of tokens. What can be read comes back unchanged, and the pieces in which it comes do not matter.
 pub fn live_view(bytes: &[u8]) {
     lines(bytes);
     frames(bytes);
     if let Ok(text) = std::str::from_utf8(bytes) {
         let _ = protocol::read_text(text);
+        let _ = Tokens::parse(text);
+    }
+    // A number in JSON is finite, and so is an order that was read.
+    if let Ok(live_link::Order::Drive { linear_mps, angular_radps }) = publish::order(bytes) {
+        assert!(linear_mps.is_finite() && angular_radps.is_finite());
     }
     if let Ok(protocol::Request::Call(call)) = protocol::read_binary(bytes) {
         let _ = protocol::order_of(&call);

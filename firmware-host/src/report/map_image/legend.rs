@@ -35,17 +35,16 @@ fn surfaces(picture: &MapPlot<'_>, row: &mut Row<'_>) {
 }
 
 fn paths(picture: &MapPlot<'_>, row: &mut Row<'_>) {
-    let frames = picture.trajectory.len().saturating_sub(1);
     for step in 0..60 {
         let color = colors::time(f64::from(step) / 59.0);
         row.canvas.fill(row.x + i64::from(step), row.y + 4, 1, 8, color);
     }
     row.x += 46;
     if picture.truth.is_some() {
-        row.label(&format!("true path, frame 0 to {frames}"));
+        row.label("true path, first to last");
         row.line(BELIEVED, "believed path");
     } else {
-        row.label(&format!("path, frame 0 to {frames}"));
+        row.label("path, first to last");
     }
 }
 
