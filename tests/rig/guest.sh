@@ -68,7 +68,7 @@ until_value() {
 
 # punctuality FIRMWARE SECONDS: measures how late the safety loop runs while a robot drives, in parallel with cyclictest.
 punctuality() {
-    local firmware=$1 seconds=$2 robot steps missed first
+    local firmware=$1 seconds=$2 robot steps missed worst first
     rm -rf /tmp/run /rig/status.json
     world_up --lidar urg-04lx --protocol vesc --frame-size 160x64 --fps 10
     "$firmware" run --config /tmp/world/robot.toml --out /tmp/run --status /rig/status.json >/rig/run.log 2>&1 &
@@ -81,7 +81,7 @@ punctuality() {
     # At the safety loop's period, just above its priority (40). Below it, cyclictest would wait for the safety loop's
     # computation in every run in which the two happen to wake up together.
     cyclictest -m -q -p 41 -i 10000 -D $seconds -h 2000 >/tmp/cyclictest
-    steps=$(value steps /rig/status.json) missed=$(value skipped /rig/status.json)
+    steps=$(value steps /rig/status.json) missed=$(value skipped /rig/status.json) worst=$(value worst_late_us /rig/status.json)
     kill -TERM $robot
     wait $robot
     world_down
@@ -93,8 +93,8 @@ punctuality() {
         awk -v first=$first -v missed=$((missed - first)) -v steps=$steps 'BEGIN {
             print missed " of " steps ", and " first " while the program started"; exit !(missed == 0) }'
     check 'the safety loop is less than 1 ms late' \
-        awk -v p50="$(value p50 /tmp/late)" -v p99="$(value p99 /tmp/late)" -v max="$(value max /tmp/late)" 'BEGIN {
-            printf "p50 %.0f, p99 %.0f, max %.0f us\n", 1000 * p50, 1000 * p99, 1000 * max; exit !(max > 0 && max < 1) }'
+        awk -v p50="$(value p50 /tmp/late)" -v p99="$(value p99 /tmp/late)" -v max="$worst" 'BEGIN {
+            printf "p50 %.0f, p99 %.0f, max %.0f us\n", 1000 * p50, 1000 * p99, max; exit !(max > 0 && max < 1000) }'
     check 'cyclictest in parallel at the same period is less than 1 ms late' awk '
         /^# Max/ { max = $NF + 0 }
         /^[0-9]/ { late[lines++] = $1 + 0; count[$1 + 0] = $2; all += $2 }

@@ -28,6 +28,8 @@ thiserror = "2"
 proptest = { version = "1.12", default-features = false, features = ["std"] }
 [profile.dev]
 debug = false
+# A mutant takes 3 s: building it takes 2 s instead of 1 s, and its tests 1 s instead of 4 s.
+opt-level = 1
 [profile.dev.package."*"]
 opt-level = 3
 "#;

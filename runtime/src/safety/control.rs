@@ -15,7 +15,7 @@ use super::sent::SentCommand;
 use super::{Plan, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyPlane, SafetyState};
 use crate::event::{FaultReason, SafetyEvent};
 
-/// A request to arm that could not be followed for this long is void: the person who gave it may be
+/// A request to arm that could not be followed for this long is cancelled: the person who gave it may be
 /// at work on the robot by then. Motors, scanner and first scans need about 2 s.
 const ARM_WITHIN_NS: u64 = 10_000_000_000;
 
@@ -252,7 +252,7 @@ impl<B: Base, L: Lidar> SafetyLoop<B, L> {
         }
     }
 
-    /// The reason why a request to arm that is still pending becomes void in this step, if there is
+    /// The reason why a request to arm that is still pending is cancelled in this step, if there is
     /// one.
     fn lapse(
         &self,

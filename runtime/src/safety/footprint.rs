@@ -234,6 +234,14 @@ mod tests {
     }
 
     #[test]
+    fn a_point_at_the_end_of_the_reach_of_a_wide_arc_is_met() {
+        let robot = Footprint::new(0.16, &[]);
+        let wide = ahead(0.3, 0.15);
+        let at_the_end = wide.integrate(0.498 / 0.3).transform(0.159, 0.0);
+        assert!(robot.gap_m(at_the_end.into(), &wide, 0.5).is_some());
+    }
+
+    #[test]
     fn an_arc_of_one_metre_radius_is_not_treated_as_straight() {
         let robot = Footprint::new(0.16, &[]);
         assert!(robot.gap_m([0.8, -0.12], &ahead(0.3, 0.0), 0.7).is_some());
@@ -291,6 +299,7 @@ mod tests {
             ahead(0.1, 0.5).integrate(travelled_m / 0.1).transform(ahead_m, 0.0).into()
         }
         assert!(robot.gap_m(at(0.18, 0.159), &narrow, 1.0).is_some(), "0.2 m are a radian");
+        assert!(robot.gap_m(at(0.21, 0.159), &narrow, 1.0).is_none());
         assert!(robot.gap_m(at(0.24, 0.159), &narrow, 1.0).is_none());
         assert!(robot.gap_m(at(0.08, 0.159), &narrow, 0.1).is_some());
         assert!(robot.gap_m(at(0.14, 0.159), &narrow, 0.1).is_none());

@@ -24,7 +24,7 @@ impl SentCommand {
         Self { time_ns, counter: Some(counter), linear_mps, angular_radps }
     }
 
-    /// A stop.
+    /// A command to stop at `time_ns`.
     #[must_use]
     pub fn stop(time_ns: u64) -> Self {
         Self { time_ns, counter: None, linear_mps: 0.0, angular_radps: 0.0 }

@@ -100,6 +100,20 @@ fn a_scanner_that_repeats_one_scan_while_the_robot_moves_is_frozen() {
 }
 
 #[test]
+fn a_scanner_that_repeats_one_scan_while_the_robot_rotates_is_frozen() {
+    let mut room = driving();
+    let frozen = room.scan();
+    let rotation = Twist2 { linear_mps: 0.0, angular_radps: 0.4 };
+    let mut fault = None;
+    for _ in 0..20 {
+        let scan = LaserScan { time_ns: room.time_ns, ..frozen.clone() };
+        fault = fault.or(room.tick_with(rotation, Some(&scan), false).event);
+    }
+    assert_eq!(fault, Some(SafetyEvent::Faulted { why: FaultReason::LidarFrozen }));
+    assert!(room.pose.yaw_rad < 0.2, "{} rad", room.pose.yaw_rad);
+}
+
+#[test]
 fn a_scanner_that_repeats_one_scan_while_the_robot_stands_is_not_frozen() {
     let mut room = driving();
     let same = room.scan();

@@ -21,7 +21,7 @@ pub enum UpAxis {
 /// Ratio of level surface along z to that along y above which a glTF file is taken as z up.
 const Z_UP_RATIO: f64 = 3.0;
 
-/// Ratio of level surface along the other axis to that along the requested one above which the request is doubted.
+/// Ratio of level surface along the other axis to that along the requested one above which the request is doubted in an OBJ file.
 const DOUBTED_RATIO: f64 = 2.0;
 
 /// Replaces [`UpAxis::Auto`] by the detected axis. The largest flat surface of a home at one height
@@ -30,25 +30,35 @@ pub fn resolve(requested: UpAxis, is_gltf: bool, triangles: &[Triangle]) -> UpAx
     let y = largest_level_area(triangles, 1);
     let z = largest_level_area(triangles, 2);
     if requested != UpAxis::Auto {
-        if let Some(doubt) = doubt(requested, y, z) {
+        if let Some(doubt) = doubt(requested, is_gltf, y, z) {
             tracing::warn!("{doubt}");
         }
         return requested;
     }
-    let needed = if is_gltf { Z_UP_RATIO * y } else { y };
-    if z <= needed {
-        return UpAxis::Y;
-    }
-    if is_gltf {
+    let detected = detect(is_gltf, y, z);
+    if is_gltf && detected == UpAxis::Z {
         tracing::warn!(
             "the scene's level surfaces indicate that z points up, contrary to the glTF specification; using z"
         );
     }
-    UpAxis::Z
+    detected
+}
+
+/// The up axis, from the largest level surfaces along y and z.
+fn detect(is_gltf: bool, y: f64, z: f64) -> UpAxis {
+    let needed = if is_gltf { Z_UP_RATIO * y } else { y };
+    if z > needed { UpAxis::Z } else { UpAxis::Y }
 }
 
 /// Why the requested axis is probably wrong, from the largest level surfaces along y and z. The robot would drive on a wall.
-fn doubt(requested: UpAxis, y: f64, z: f64) -> Option<String> {
+fn doubt(requested: UpAxis, is_gltf: bool, y: f64, z: f64) -> Option<String> {
+    if is_gltf && requested == UpAxis::Z && detect(is_gltf, y, z) == UpAxis::Y {
+        return Some(
+            "z was requested as the up axis, but y points up in glTF files, and the scene's level surfaces do not speak against \
+             it: if the robot drives on a wall, request y or no axis"
+                .to_owned(),
+        );
+    }
     let (axis, own, other_axis, other) =
         if requested == UpAxis::Z { ("z", z, "y", y) } else { ("y", y, "z", z) };
     (other > DOUBTED_RATIO * own).then(|| {
@@ -109,10 +119,18 @@ mod tests {
 
     #[test]
     fn a_requested_axis_is_doubted_when_the_floor_lies_along_the_other_one() {
-        assert_eq!(doubt(UpAxis::Z, 20.0, 80.0), None);
-        assert_eq!(doubt(UpAxis::Y, 60.0, 80.0), None, "walls and floor of one size");
-        let said = doubt(UpAxis::Z, 80.0, 25.0).unwrap();
+        assert_eq!(doubt(UpAxis::Z, false, 20.0, 80.0), None);
+        assert_eq!(doubt(UpAxis::Y, false, 60.0, 80.0), None, "walls and floor of one size");
+        let said = doubt(UpAxis::Z, false, 80.0, 25.0).unwrap();
         assert!(said.contains("3.2 times as large along y"), "{said}");
-        assert!(doubt(UpAxis::Y, 25.0, 80.0).unwrap().contains("request z"));
+        assert!(doubt(UpAxis::Y, true, 25.0, 80.0).unwrap().contains("request z"));
+    }
+
+    #[test]
+    fn z_is_doubted_in_a_gltf_file_unless_its_floor_lies_along_z() {
+        assert!(doubt(UpAxis::Z, true, 60.0, 60.0).unwrap().contains("y points up in glTF"));
+        assert!(doubt(UpAxis::Z, true, 60.0, 110.0).is_some());
+        assert_eq!(doubt(UpAxis::Z, true, 20.0, 80.0), None);
+        assert_eq!(doubt(UpAxis::Y, true, 60.0, 60.0), None);
     }
 }
