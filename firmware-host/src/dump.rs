@@ -70,7 +70,7 @@ struct Index {
 struct Entry {
     name: String,
     time_ns: u64,
-    /// Row-major 4x4.
+    /// Pose as a homogeneous 4x4 matrix, row-major.
     t_world_camera: Vec<f64>,
     coarse: bool,
     dense: bool,

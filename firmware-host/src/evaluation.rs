@@ -48,7 +48,7 @@ pub struct Evaluation {
 /// What is true at one frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Truth<'a> {
-    /// `t_world_base`.
+    /// True pose of the robot, `t_world_base`.
     pub pose: Pose2,
     /// Depth of the frame.
     pub depth: Option<&'a DepthMap>,

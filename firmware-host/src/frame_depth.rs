@@ -11,7 +11,7 @@ use runtime::recording::RecordedTick;
 /// A frame with what its depth is computed from.
 #[derive(Debug, Clone, Copy)]
 pub struct Shot<'a> {
-    /// The image.
+    /// The camera's image.
     pub frame: ImageView<'a>,
     /// Pose of `camera_optical` in `odom`.
     pub t_odom_camera: Pose3,

@@ -67,8 +67,8 @@ fn read(path: &Path) -> Result<Option<RobotKey>> {
 
 fn parse(text: &str) -> Result<RobotKey> {
     RobotKey::parse(text.trim()).context(
-        "it holds no key of 64 hexadecimal digits; move it away, and the robot makes another key, by which \
-         workstations must learn to know it",
+        "it holds no key of 64 hexadecimal digits; move it away: the robot then makes a new key; add it to \
+         the workstations' list of robots",
     )
 }
 

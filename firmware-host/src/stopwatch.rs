@@ -20,7 +20,7 @@ impl Default for Stopwatch {
 }
 
 impl Stopwatch {
-    /// Starts measuring.
+    /// Starts the time that the next call of [`lap`](Self::lap) counts.
     pub fn start(&mut self) {
         self.last = Instant::now();
     }

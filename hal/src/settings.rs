@@ -15,7 +15,6 @@ use core::fmt;
 pub struct Section {
     /// What the section is about, one element for each line of the struct's documentation.
     pub about: &'static [&'static str],
-    /// Its keys.
     pub keys: &'static [Key],
 }
 
@@ -85,7 +84,7 @@ impl Range {
 pub struct OutOfRange {
     /// Name of the key.
     pub key: &'static str,
-    /// The number.
+    /// The number that is out of range.
     pub value: f64,
     /// The allowed range and its unit.
     pub allowed: &'static str,

@@ -24,32 +24,17 @@ pub enum Event {
     /// The goal was reached.
     GoalReached,
     /// The goal was given up.
-    GoalDropped {
-        /// Why.
-        why: DropReason,
-    },
+    GoalDropped { why: DropReason },
     /// No goal could be chosen this time.
-    NoGoal {
-        /// Why.
-        why: NoGoalReason,
-    },
+    NoGoal { why: NoGoalReason },
     /// The safety plane changed its state.
-    Safety {
-        /// What happened.
-        what: SafetyEvent,
-    },
+    Safety { what: SafetyEvent },
     /// This frame gave no depth.
-    NoDepth {
-        /// Why.
-        why: NoDepth,
-    },
+    NoDepth { why: NoDepth },
     /// No frame has arrived for too long: the robot stands until there is one.
     StandsWithoutFrames,
     /// An input was refused; the loop continues without it.
-    InputRefused {
-        /// Why.
-        why: RefusedInput,
-    },
+    InputRefused { why: RefusedInput },
     /// Another depth network is used from this tick on.
     NetworkTaken {
         /// BLAKE3 digest of its file, in hex.
@@ -63,10 +48,7 @@ pub enum Event {
         shift_m: f64,
     },
     /// The robot no longer knows where it is in the map. It makes no depth and no map, and searches for itself.
-    Lost {
-        /// Why.
-        why: LostReason,
-    },
+    Lost { why: LostReason },
     /// The robot knows again where it is.
     Found {
         /// How far that is from where it was believed to be, metres.
@@ -76,7 +58,7 @@ pub enum Event {
     StandsLost,
     /// The wheels report another motion than the scans; the scans keep the pose.
     WheelsContradicted {
-        /// How.
+        /// The kind of the difference.
         how: WheelError,
     },
     /// A sensor or a wheel is no longer as it was at the beginning of the run. It comes once for each change.
@@ -207,20 +189,14 @@ pub enum SafetyEvent {
     /// The robot stands because the scanner has not seen the way ahead for too long.
     ViewLost,
     /// It stopped the robot until the condition of the stop has ended.
-    Faulted {
-        /// Why.
-        why: FaultReason,
-    },
+    Faulted { why: FaultReason },
     /// A plan is not followed; the robot stands until there is a valid one.
-    PlanRefused {
-        /// Why.
-        why: PlanRefusal,
-    },
+    PlanRefused { why: PlanRefusal },
     /// Plans move the robot from now on.
     Armed,
     /// Nothing moves the robot from now on.
     Disarmed,
-    /// A request to arm is void, because the robot could not be armed in time or because of an
+    /// A request to arm was cancelled, because the robot could not be armed in time or because of an
     /// event that needs a person. It has to be given again.
     ArmingLapsed {
         /// What prevented the arming.

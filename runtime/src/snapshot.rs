@@ -31,7 +31,7 @@ pub enum SnapshotError {
         "the snapshot is of another robot: {what} is {found} there and {here} here; build the robot from the recording's header"
     )]
     OtherRobot {
-        /// What differs.
+        /// Name of what differs.
         what: &'static str,
         /// Its value in the snapshot.
         found: String,

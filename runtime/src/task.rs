@@ -20,10 +20,7 @@ pub enum Task {
     /// Explore, as a robot without a task does.
     Explore,
     /// Explore by another policy from now on.
-    ExploreBy {
-        /// The policy.
-        policy: PolicyKind,
-    },
+    ExploreBy { policy: PolicyKind },
     /// Stand where the robot is until there is another task.
     Pause,
     /// Drive at this velocity for [`HOLD_NS`], as far as the safety plane permits, and then stand. A person who drives by hand
@@ -82,10 +79,10 @@ pub const HOLD_NS: u64 = 400_000_000;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum NotFinite {
-    /// A coordinate.
+    /// A coordinate of the place to drive to.
     #[error("the place to go to is not finite: give metres in the frame `map`")]
     Place,
-    /// A speed.
+    /// A linear or angular velocity to drive at.
     #[error("the velocity to drive at is not finite: give m/s and rad/s")]
     Velocity,
 }

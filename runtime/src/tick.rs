@@ -78,7 +78,7 @@ impl SafetyReport {
 }
 
 impl SentCommand {
-    /// Its velocity.
+    /// The velocity of this command, without its time and counter.
     #[must_use]
     pub fn command(&self) -> Command {
         Command { linear_mps: self.linear_mps, angular_radps: self.angular_radps }

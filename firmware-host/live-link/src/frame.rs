@@ -52,7 +52,7 @@ pub enum Frame {
     Channels(Vec<Channel>),
     /// A message of a channel.
     Message {
-        /// The channel.
+        /// Number of the channel.
         channel: u16,
         /// Time of the message, nanoseconds since 1970.
         time_ns: u64,

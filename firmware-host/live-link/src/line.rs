@@ -46,20 +46,12 @@ pub enum Order {
     Arm,
     /// Stand until there is another task.
     Pause,
-    /// Explore again.
+    /// Explore again after a pause or another task.
     Resume,
     /// Explore by another policy from now on.
-    ExploreBy {
-        /// The policy.
-        policy: PolicyKind,
-    },
+    ExploreBy { policy: PolicyKind },
     /// Drive to a place in `map` and stand there.
-    GoTo {
-        /// Metres.
-        x_m: f64,
-        /// Metres.
-        y_m: f64,
-    },
+    GoTo { x_m: f64, y_m: f64 },
     /// Drive to where the run began and stand there.
     Return,
     /// Write the map to its file now.

@@ -7,7 +7,7 @@ use super::finding::{Finding, Nature, Verdict};
 /// Where measured values come from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Provenance {
-    /// The recording.
+    /// Name of the recording.
     pub drive: String,
     /// Date and time of the measurement.
     pub date: String,

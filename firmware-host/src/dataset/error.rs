@@ -22,13 +22,7 @@ pub enum DatasetError {
     },
     /// A value in `dataset.toml` is out of range.
     #[error("{path}: {key} = {value} is out of range; allowed: {allowed}", path = path.display())]
-    Value {
-        path: PathBuf,
-        key: &'static str,
-        value: String,
-        /// Allowed values.
-        allowed: &'static str,
-    },
+    Value { path: PathBuf, key: &'static str, value: String, allowed: &'static str },
     /// A line of a list is invalid.
     #[error("{path}:{line}: {what}", path = path.display())]
     Line {

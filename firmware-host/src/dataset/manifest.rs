@@ -31,7 +31,7 @@ pub struct Manifest {
     /// from the poses.
     #[serde(default)]
     pub up: Option<[f64; 3]>,
-    /// Free text.
+    /// Notes of the person who made the dataset.
     #[serde(default)]
     pub note: String,
     /// The colour camera. Depth images must be registered to it.

@@ -21,7 +21,7 @@ pub use resample::Resampler;
 pub struct Sample {
     /// Time stamp in the dataset's clock.
     pub time_ns: u64,
-    /// RGB8, row-major.
+    /// Pixels in RGB8, row-major.
     pub rgb: Vec<u8>,
     /// Pinhole camera of the resampled image.
     pub camera: CameraModel,

@@ -18,7 +18,6 @@ const HEALTH_EVERY: Duration = Duration::from_millis(500);
 
 /// The live view of a simulated run.
 pub(super) struct Watched {
-    /// The view.
     pub live: Live,
     panel: ControlPanel,
     folder: Option<String>,

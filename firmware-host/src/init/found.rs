@@ -19,7 +19,7 @@ pub struct Found {
     pub simulated: Option<PathBuf>,
 }
 
-/// A camera.
+/// A camera that is connected, with the frames that it offers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FoundCamera {
     /// The most stable of its names, or `unix:PATH`.

@@ -11,7 +11,7 @@ use super::answers::{Answer, Answers};
 use super::found::Found;
 use crate::config::Config;
 
-/// One question.
+/// A question of `init`, and the keys that its answer sets.
 #[derive(Debug)]
 pub struct Question {
     /// Its name in a file of answers.
@@ -59,7 +59,6 @@ pub enum Asked {
 /// The kinds of devices.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Device {
-    /// A camera.
     Camera,
     /// The port of a scanner.
     Port,
@@ -185,7 +184,7 @@ pub const QUESTIONS: &[Question] = &[
     Question {
         key: "odrive",
         words: "Which firmware do the ODrives have, and which of its endpoints are axis0.config.enable_watchdog and axis0.config.watchdog_timeout?",
-        help: "The version and two numbers, or the path of its flat_endpoints.json. Endpoints of 0 are not known yet: the robot does not drive with them.",
+        help: "The version and two numbers, or the path of its flat_endpoints.json. 0 means unknown; the robot does not drive until both endpoints are set.",
         asked: Asked::Endpoints,
         only_with: Some(("protocol", &["odrive"])),
         sets: &[],
@@ -218,7 +217,7 @@ pub const QUESTIONS: &[Question] = &[
     Question {
         key: "wheels_m",
         words: "How large are the wheels: radius, and distance between the middles of their treads?",
-        help: "Two numbers. 1 mm counts: push the robot ten turns of a wheel, and divide the way by 62.83 for the radius.",
+        help: "Two numbers. Measure to 1 mm. To find the radius, push the robot until a wheel has made ten revolutions and divide the distance by 62.83.",
         asked: Asked::Numbers(2),
         only_with: None,
         sets: &[

@@ -258,7 +258,7 @@ fn rounded(number: f64, parts: f64) -> f64 {
 fn correct(question: &Question, lines: &mut Vec<Line>, correction: &Correction) {
     match question.key {
         "nodes" => {
-            let seen = "It turned backwards when it was to turn forward.";
+            let seen = "The wheel rotated backwards when it was commanded forward.";
             let keys = ["devices.base.invert_left", "devices.base.invert_right"];
             for (key, _) in keys.into_iter().zip(correction.invert).filter(|(_, invert)| *invert) {
                 lines.push(line(key, &true, seen));

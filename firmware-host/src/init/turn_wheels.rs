@@ -220,7 +220,7 @@ trait Bench {
     /// The base's clock.
     type Time: Clock;
 
-    /// The driver.
+    /// The driver of the base whose wheels are turned.
     fn base(&mut self) -> &mut DifferentialBase<Self::Bus, Self::Time>;
 
     /// Waits for one tick.

@@ -24,7 +24,7 @@ use track::Track;
 /// The poses as they were known at their times. No other command writes it.
 const ONLINE_FILE: &str = "online.tum";
 
-/// `summary.json`.
+/// The content of `summary.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct Summary {
     scans: usize,

@@ -37,33 +37,23 @@ const MOST_STATE_BYTES: u64 = 512 << 20;
 pub enum MapFileError {
     /// The file cannot be read.
     #[error("cannot read the map {}: {source}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
+    Unreadable { path: PathBuf, source: std::io::Error },
     /// The file does not begin as map files do.
     #[error("{} is not a map; maps are written by `--map` and `firmware-host map save`", path.display())]
-    NotAMap {
-        /// The file.
-        path: PathBuf,
-    },
+    NotAMap { path: PathBuf },
     /// Another version of this program wrote it.
     #[error(
         "the map {} has format {found}, this program knows {MAP_FILE_VERSION}: use the version that saved it, or another file",
         path.display()
     )]
     Version {
-        /// The file.
         path: PathBuf,
-        /// Its format.
+        /// Format of the file.
         found: u32,
     },
     /// The content is not what was written.
     #[error("the map {} is damaged: {what}; use a copy, or another file", path.display())]
     Damaged {
-        /// The file.
         path: PathBuf,
         /// What is wrong.
         what: &'static str,

@@ -48,7 +48,7 @@ pub enum ModelCommand {
     /// Fails with a hint: signing keys are made on the workstation, and this program cannot sign.
     #[command(hide = true)]
     Keygen {
-        /// Ignored.
+        /// Arguments, which are accepted and not used, so that every call shows the hint.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<OsString>,
     },

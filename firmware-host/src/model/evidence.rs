@@ -34,7 +34,7 @@ pub struct Sample<'a> {
     pub tick: u64,
     /// Pose bin in which the frame was taken.
     pub bin: PoseBin,
-    /// RGB8, row-major.
+    /// Pixels in RGB8, row-major.
     pub rgb: &'a [u8],
     pub t_odom_camera: Pose3,
     /// Coarse depth of the frame, as the control loop computes it.

@@ -41,7 +41,7 @@ pub enum Report {
     Doing(String),
     /// The model cannot be used on this robot.
     Unfit(Unfit),
-    /// All measurements.
+    /// The examination is complete; these are its measurements.
     Examined(Examination),
 }
 

@@ -26,7 +26,7 @@ pub struct Gate {
     pub frames: usize,
     /// Resource limits of the examination.
     pub child: ChildLimits,
-    /// Acceptance limits.
+    /// Limits within which a model is accepted.
     pub limits: GateLimits,
     /// Whether a first model is accepted without enough held-out frames.
     pub unproven: bool,

@@ -11,12 +11,7 @@ use runtime::recording::RecordingError;
 pub enum RecordError {
     /// The output directory cannot be created or read.
     #[error("cannot use output directory {}: {source}; choose another with --out", dir.display())]
-    Directory {
-        /// The directory.
-        dir: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    Directory { dir: PathBuf, source: io::Error },
     /// The directory holds a recording already.
     #[error("{} exists already; choose another --out, or move the old run away", path.display())]
     HoldsRecording {
@@ -25,31 +20,16 @@ pub enum RecordError {
     },
     /// A segment cannot be created.
     #[error("cannot create {}: {source}; free disk space, check permissions, or choose another --out", path.display())]
-    Create {
-        /// The segment.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    Create { path: PathBuf, source: io::Error },
     /// A segment cannot be written.
     #[error(
         "cannot write {}: {source}; the ticks before are kept; free disk space or choose another --out",
         path.display()
     )]
-    Write {
-        /// The segment.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    Write { path: PathBuf, source: io::Error },
     /// A tick cannot be recorded exactly, so it could not be replayed.
     #[error("cannot record into {}: {source}", path.display())]
-    Content {
-        /// The segment.
-        path: PathBuf,
-        /// Why.
-        source: RecordingError,
-    },
+    Content { path: PathBuf, source: RecordingError },
     /// The recording thread could not be started, or it has ended.
     #[error("the recording thread is not running: {0}")]
     Thread(String),

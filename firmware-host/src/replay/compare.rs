@@ -10,7 +10,7 @@ use serde_json::Value;
 pub struct Difference {
     /// Path of the field, such as `desired.linear_mps` or `events[0].why`.
     pub field: String,
-    /// Recorded value.
+    /// Value of the recorded decision.
     pub recorded: String,
     /// Value of the recomputed decision.
     pub recomputed: String,

@@ -16,19 +16,14 @@ pub enum ReplayError {
     Open {
         /// File or directory.
         path: PathBuf,
-        /// Why.
         source: io::Error,
     },
     /// The directory has no segments.
     #[error("{} holds no recording_NNNN.mcap; give the --out directory of a run or one .mcap file", dir.display())]
-    NoSegments {
-        /// The directory.
-        dir: PathBuf,
-    },
+    NoSegments { dir: PathBuf },
     /// A file is not a recording, or is truncated or corrupt.
     #[error("{}: {source}", path.display())]
     Segment {
-        /// The file.
         path: PathBuf,
         /// What is wrong with it.
         source: RecordingError,
@@ -40,7 +35,6 @@ pub enum ReplayError {
         path.display()
     )]
     NotTheStart {
-        /// The file.
         path: PathBuf,
         /// Number of the segment.
         segment: u32,
@@ -51,7 +45,6 @@ pub enum ReplayError {
         path.display()
     )]
     SegmentOrder {
-        /// The file.
         path: PathBuf,
         /// Number of the missing segment.
         expected: u32,
@@ -63,10 +56,7 @@ pub enum ReplayError {
         "{} belongs to another run than the segments before it; put each run into a directory of its own",
         path.display()
     )]
-    OtherRun {
-        /// The file.
-        path: PathBuf,
-    },
+    OtherRun { path: PathBuf },
     /// Ticks are missing.
     #[error(
         "{}: tick {found} is where tick {expected} should be: ticks were dropped while recording (the disk \
@@ -74,7 +64,6 @@ pub enum ReplayError {
         path.display()
     )]
     Gap {
-        /// The file.
         path: PathBuf,
         /// Number of the missing tick.
         expected: u64,

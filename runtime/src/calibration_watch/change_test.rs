@@ -71,7 +71,7 @@ pub(crate) struct Begin {
 /// A change that the test has found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Found {
-    /// Which parameter.
+    /// Index of the parameter in the vector that is tested.
     pub index: usize,
     pub by: f64,
     pub sigma: f64,

@@ -82,7 +82,6 @@ impl Watched {
 /// A parameter as the last metres show it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
-    /// The parameter.
     pub what: Watched,
     /// Its value less the configured one, in the unit of `what`.
     pub value: f64,
@@ -93,7 +92,6 @@ pub struct Measured {
 /// A change of one parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Change {
-    /// The parameter.
     pub what: Watched,
     /// The value now less that at the beginning of the run, in the unit of `what`.
     pub by: f64,

@@ -54,7 +54,7 @@ struct Piece {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Query {
     submap: u32,
-    /// Likeliest last.
+    /// The pieces of the search that remain, the likeliest last.
     pieces: Vec<Piece>,
     search: Option<Search>,
     closures: Vec<Edge>,

@@ -35,6 +35,6 @@ pub struct DrivenLeg {
     pub by_wheels: Pose2,
     /// The motion by the matched scans, with the scanner where it is configured.
     pub by_scans: Pose2,
-    /// Of `by_scans`.
+    /// Variances of `by_scans`.
     pub variances: ScanVariances,
 }

@@ -11,7 +11,6 @@ use hal::{Pose2, wrap_angle};
 struct Drive {
     robot: TestRobot,
     localizer: Localizer,
-    /// `t_map_world`.
     map_from_world: Pose2,
     lost: Vec<LostReason>,
     wheel_errors: Vec<WheelError>,

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// A stretch of surface as a scan saw it.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct Stretch {
-    /// Middle, metres.
+    /// Middle of the stretch, metres.
     pub x: f32,
     pub y: f32,
     /// Unit normal; zero where the surface has no clear direction.

@@ -55,7 +55,7 @@ pub(crate) struct Search {
     window: Window,
     next: u32,
     headings: u32,
-    /// Best first.
+    /// The places that were found, the best first.
     places: Vec<Place>,
 }
 
@@ -226,7 +226,7 @@ impl Search {
         self.next >= self.headings
     }
 
-    /// Best first.
+    /// The places that were found, the best first.
     pub(crate) fn places(&self) -> &[Place] {
         &self.places
     }

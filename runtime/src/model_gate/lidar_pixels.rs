@@ -17,9 +17,9 @@ const NEAREST_M: f64 = 0.1;
 /// A pixel whose depth the LiDAR has measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LidarPixel {
-    /// Image column.
+    /// Column of the pixel in the image.
     pub u: usize,
-    /// Image row.
+    /// Row of the pixel in the image.
     pub v: usize,
     /// z-depth in the camera's frame, metres.
     pub depth_m: f32,

@@ -45,7 +45,6 @@ pub enum NearRange {
 }
 
 impl NearRange {
-    /// Every one.
     pub const ALL: [Self; 3] = [Self::First, Self::Second, Self::Corridor];
 }
 

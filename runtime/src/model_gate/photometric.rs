@@ -18,7 +18,7 @@ const C2: f32 = 0.03 * 0.03;
 /// An earlier frame of the same camera.
 #[derive(Debug, Clone, Copy)]
 pub struct Source<'a> {
-    /// RGB8, row-major.
+    /// Pixels in RGB8, row-major.
     pub rgb: &'a [u8],
     /// Maps points of the target frame's `camera_optical` into that of the source frame.
     pub t_source_target: Pose3,

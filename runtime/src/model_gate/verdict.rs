@@ -276,7 +276,6 @@ pub struct Verdict {
 /// What the held-out frames say about obstacles in one range.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct NearEvidence {
-    /// The range.
     pub what: NearRange,
     /// Number of frames with enough coarse depth in this range.
     pub frames: usize,

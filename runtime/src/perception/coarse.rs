@@ -72,7 +72,7 @@ pub struct CoarseDepth {
 
 /// What a frame saw, by cells of 4x4 pixels, row-major.
 pub(super) struct SeenCells<'a> {
-    /// `t_odom_camera`, filtered.
+    /// Filtered pose of the camera, `t_odom_camera`.
     pub pose: Pose3,
     pub beliefs: &'a [Belief],
     pub confidence: &'a [f32],

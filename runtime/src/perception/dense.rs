@@ -34,7 +34,6 @@ pub struct Candidates {
     pub coarse: (Belief, f32),
     /// Recalled depth, its neighbourhood and its probability.
     pub recalled: (Belief, Surround, f32),
-    /// Filled depth.
     pub filled: Filled,
     /// What would be chosen without walls: inverse depth and its probability.
     pub without_walls: (f32, f32),

@@ -26,7 +26,7 @@ pub(super) struct Messages<R> {
 
 type Topics = BTreeMap<u16, String>;
 
-/// One message.
+/// A message of a segment, with its channel's topic.
 pub(super) struct Message {
     pub topic: String,
     pub data: Vec<u8>,

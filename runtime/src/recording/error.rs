@@ -55,18 +55,11 @@ pub enum RecordingError {
         "tick {tick} has no message on {topic}, and it should: a tool has filtered that channel out; use the \
          recording as the robot wrote it"
     )]
-    MissingPart {
-        /// The tick.
-        tick: u64,
-        /// The channel.
-        topic: &'static str,
-    },
+    MissingPart { tick: u64, topic: &'static str },
     /// A message does not have the layout of its channel.
     #[error("tick {tick}: message on {topic} cannot be read: {detail}")]
     BadMessage {
-        /// The tick.
         tick: u64,
-        /// The channel.
         topic: &'static str,
         /// What is wrong with it.
         detail: String,
@@ -84,7 +77,6 @@ pub enum RecordingError {
     /// An image is not RGB8, the only format that is recorded.
     #[error("tick {tick}: a {format:?} image cannot be recorded; convert it to Rgb8 first")]
     FrameFormat {
-        /// The tick.
         tick: u64,
         /// The image's format.
         format: PixelFormat,
@@ -92,7 +84,6 @@ pub enum RecordingError {
     /// The number of an image's bytes does not fit its size.
     #[error("tick {tick}: {source}")]
     Frame {
-        /// The tick.
         tick: u64,
         /// What is wrong with it.
         source: ImageError,
@@ -103,27 +94,21 @@ pub enum RecordingError {
          65.535 m; pass it through quantise_mm before the loop sees it"
     )]
     TruthNotMillimetres {
-        /// The tick.
         tick: u64,
         /// The first bad pixel, row-major.
         pixel: usize,
-        /// Its depth.
+        /// True depth at that pixel, metres.
         depth_m: f32,
     },
     /// A decision holds NaN or infinity.
     #[error(
         "tick {tick}: the decision holds a number that is not finite, so it could not be compared at replay"
     )]
-    DecisionNotFinite {
-        /// The tick.
-        tick: u64,
-    },
+    DecisionNotFinite { tick: u64 },
     /// A message cannot be encoded.
     #[error("tick {tick}: {topic} cannot be encoded: {detail}")]
     Encode {
-        /// The tick.
         tick: u64,
-        /// The channel.
         topic: &'static str,
         /// What is wrong.
         detail: String,

@@ -135,7 +135,7 @@ impl HandOverSchedule {
 /// First message of every segment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SegmentHeader {
-    /// [`FORMAT_VERSION`].
+    /// Version of the recording format, [`FORMAT_VERSION`] of the program that wrote it.
     pub format_version: u32,
     /// Number of the segment in its run, from 0.
     pub segment: u32,

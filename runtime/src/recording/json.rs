@@ -80,7 +80,7 @@ impl From<&WheelJson> for WheelFeedback {
     }
 }
 
-/// [`Pose2`].
+/// A [`Pose2`] in JSON.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) struct PoseJson {
     x_m: Exact,
@@ -101,7 +101,7 @@ impl From<&PoseJson> for Pose2 {
     }
 }
 
-/// [`OutsideInput`].
+/// An [`OutsideInput`] in JSON.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct OutsideJson {
     time_ns: u64,

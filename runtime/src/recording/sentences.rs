@@ -168,7 +168,10 @@ fn safety(what: &SafetyEvent) -> String {
         SafetyEvent::Armed => "armed: plans move the robot".to_owned(),
         SafetyEvent::Disarmed => "disarmed: nothing moves the robot".to_owned(),
         SafetyEvent::ArmingLapsed { why } => {
-            format!("not armed, and the request to arm is void: {}", fault_reason(*why))
+            format!(
+                "not armed: arming was cancelled: {}; send the request again",
+                fault_reason(*why)
+            )
         }
     }
 }

@@ -11,9 +11,9 @@ use crate::tick::{Decision, SafetyReport, TickInput};
 /// An RGB8 image that owns its bytes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbImage {
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
     /// Row-major, three bytes a pixel.
     pub rgb: Vec<u8>,

@@ -14,7 +14,7 @@ const UPRIGHT: fox::Quaternion = fox::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.
 /// The loop's map, path and depth after a tick, for viewers. The caller decides how often each is recorded.
 #[derive(Debug, Clone, Default)]
 pub struct Views {
-    /// The map.
+    /// The map, if it is to be recorded after this tick.
     pub map: Option<MapView>,
     /// The planned path from the robot to the goal, in `map`, metres. An empty path removes the one on display.
     pub path_m: Option<Vec<[f64; 2]>>,
@@ -210,7 +210,7 @@ fn cell_bytes(occupancy: i8) -> [u8; 5] {
     [grey as u8, grey as u8, grey as u8, 255, value]
 }
 
-/// A pose.
+/// Converts a pose to Foxglove's message.
 #[must_use]
 pub fn pose(pose: &Pose3) -> fox::Pose {
     fox::Pose {

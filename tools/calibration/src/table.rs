@@ -19,7 +19,7 @@ struct Outcome {
     is_observed: bool,
 }
 
-/// All robots.
+/// The outcomes of all simulated robots, by parameter.
 #[derive(Debug, Default)]
 pub struct Trials {
     outcomes: BTreeMap<Parameter, Vec<Outcome>>,

@@ -132,7 +132,7 @@ fn measure(case: &Case, folder: &Path, out: &Path) -> Result<Vec<Vec<String>>> {
     let summary = summary(out)?;
     let runs = [
         ("wheels", Trajectory::by_wheels(&log)?),
-        ("as known then", Trajectory::read(&out.join("online.tum"), &log)?),
+        ("online", Trajectory::read(&out.join("online.tum"), &log)?),
         ("after all closures", Trajectory::read(&out.join("trajectory.tum"), &log)?),
     ];
     let mut rows = Vec::new();

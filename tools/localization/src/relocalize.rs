@@ -37,7 +37,7 @@ const STEP_RAD: f64 = 0.035;
 /// Noise of the wheels, as a share, and drift per metre.
 const WHEEL_NOISE: f64 = 0.02;
 const WHEEL_DRIFT_RAD_PER_M: f64 = 0.03;
-/// Two rotations.
+/// Steps of a trial: two rotations.
 const STEPS: usize = 360;
 /// A trial's start keeps this distance from furniture, metres.
 const CLEARANCE_M: f64 = 0.25;

@@ -131,9 +131,9 @@ enum OrderArg {
 /// The values of --as.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Layout {
-    /// The format of the TUM RGB-D benchmark, with poses from odometry.
+    /// The format of the TUM RGB-D benchmark, with localized poses of the camera.
     Tum,
-    /// A LeRobot dataset, format 3.0: images, odometry and sent commands in Parquet files.
+    /// A LeRobot dataset, format 3.0: images, localized poses, measured velocities and sent commands in Parquet files.
     ///
     /// Only in a build with the feature `lerobot`.
     Lerobot,

@@ -146,7 +146,9 @@ fn borne_out(config: &Config, file: &Path) -> Result<(), String> {
     let text = fs::read_to_string(file).map_err(|error| of(&error))?;
     let kept: Kept = toml::from_str(&text).map_err(|error| of(&error.message()))?;
     if let Some(key) = kept.wheels.difference(&Wheels::of(&config.devices.base)) {
-        return Err(of(&format!("devices.base.{key} was another one when it was measured")));
+        return Err(of(&format!(
+            "devices.base.{key} has changed since `check --drive` measured the robot"
+        )));
     }
     let judgements = judge::all(&kept.measured, &Assumed::new(config));
     match judgements.iter().find(|judgement| judgement.is_worse) {

@@ -29,7 +29,7 @@ pub struct Assumed {
     /// Part of the reaction time until the scanner has seen an obstacle, seconds.
     pub sight_s: f64,
     pub coasts: bool,
-    /// `lidar.yaw_deg`.
+    /// Yaw of the LiDAR as configured in `lidar.yaw_deg`, degrees.
     pub lidar_yaw_deg: f64,
 }
 

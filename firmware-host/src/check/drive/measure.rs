@@ -56,7 +56,7 @@ pub enum CourseError {
         "the wheels report {gone_m:.2} m, more than this course has: check wheel_radius_m, gear_ratio and position units"
     )]
     TooFar { gone_m: f64 },
-    /// A signal.
+    /// A signal ended the measurement.
     #[error("interrupted: the robot was stopped, and nothing was written")]
     Interrupted,
 }
@@ -337,8 +337,8 @@ fn is_standing(wheel: &WheelFeedback) -> bool {
 /// What to do about a stop on the course.
 fn way_out(state: SafetyState) -> &'static str {
     if state == SafetyState::Fault(FaultReason::WheelsDisagree) {
-        return "did it move as it was told? If not, check `swap_wheels`, `invert_left` and `invert_right`; if it did, whether the \
-                scanner points ahead and is not upside down, then `wheel_radius_m`, `gear_ratio` and `track_m`";
+        return "if the robot did not follow the commanded motion, check `swap_wheels`, `invert_left` and `invert_right`; if it did, \
+                check that the LiDAR points ahead and is not upside down, then `wheel_radius_m`, `gear_ratio` and `track_m`";
     }
     "put it where 1 m ahead is free, and start again"
 }

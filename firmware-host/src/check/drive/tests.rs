@@ -302,7 +302,7 @@ fn run_starts_only_beside_a_measurement_that_bears_out_what_it_assumes() {
 
     let mut other = config.clone();
     other.devices.base.track_m *= 1.2;
-    assert!(why(&other).contains("devices.base.track_m was another one"), "{}", why(&other));
+    assert!(why(&other).contains("devices.base.track_m has changed"), "{}", why(&other));
     let mut hopeful = config.clone();
     hopeful.run.brake_mps2 = 5.0;
     assert!(why(&hopeful).contains("braking distance was measured as"), "{}", why(&hopeful));

@@ -2,7 +2,7 @@
 
 /// The RGB image of the camera.
 pub(super) const IMAGE: &str = "observation.images.front";
-/// The odometry and the measured velocity.
+/// The localized pose and the measured velocity.
 pub(super) const STATE: &str = "observation.state";
 /// The command that was sent to the base, after the safety loop has limited it.
 pub(super) const ACTION: &str = "action";
