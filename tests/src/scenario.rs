@@ -88,7 +88,7 @@ impl Scenario {
         let faults = Faults::new(parse(faults, seed)?, seed, Arc::new(move || clock.now_ns()));
         let base = FaultyBase::new(devices.base, &faults);
         let lidar = FaultyLidar::new(devices.lidar, &faults);
-        // As on a robot, the safety plane runs ten times in a tick; otherwise it would run once, as in `explore`.
+        // As on a robot, the safety plane runs ten times in a tick; the default period is a whole tick.
         let safety = SafetyConfig { period_s: SAFETY_NS as f64 * 1e-9, ..SafetyConfig::default() };
         let (task, port) = safety_link(SafetyLoop::new(safety, base, lidar));
         let mut time = VirtualTime::new(devices.clock, task, SAFETY_NS);

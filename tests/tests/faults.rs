@@ -239,7 +239,7 @@ fn a_loop_that_is_woken_late_stops_the_robot_and_time_never_goes_back() {
 /// minutes the default robot touches none of them; the seeds are not chosen. The scanner sees glass here: with glass and lacquer
 /// that it misses, one of the six minutes has a touch.
 #[test]
-fn in_minutes_of_random_faults_only_what_no_sensor_sees_is_touched_and_all_repeats_exactly() {
+fn in_minutes_of_random_faults_nothing_is_touched_and_all_repeats_exactly() {
     let mut touched = Vec::new();
     for seed in 1..=6 {
         let run = |ticks| {

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Child;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use serde_json::{Value, json};
 
 use crate::{command, paths};
@@ -131,7 +131,7 @@ fn figures_of(scene: &str, summary: &Value) -> Result<Value> {
 fn print_table(figures: &[Value]) {
     println!(
         "{:<40} {:>7} {:>9} {:>7} {:>8} {:>6} {:>7} {:>7}",
-        "home", "right", "confident", "dense", "coverage", "off10", "p90 m", "touches"
+        "home", "right", "confident", "dense", "mapped", "off10", "p90 m", "touches"
     );
     for home in figures {
         let number = |key: &str| home[key].as_f64().unwrap_or(f64::NAN);
@@ -160,9 +160,9 @@ fn check_floors(figures: &[Value]) -> Result<()> {
             .chain(CEILINGS.map(|(key, ceiling)| (key, 0.0, ceiling)))
         {
             let value = home[key].as_f64().unwrap_or(f64::NAN);
-            if !(least..=most).contains(&value) {
-                bail!("{scene}: {key} is {value}, and must be {least} to {most}");
-            }
+            // NaN is neither.
+            ensure!(value >= least, "{scene}: {key} is {value}, and its floor is {least}");
+            ensure!(value <= most, "{scene}: {key} is {value}, and its ceiling is {most}");
         }
     }
     let touches: u64 = figures.iter().filter_map(|home| home["collisions"].as_u64()).sum();

@@ -14,7 +14,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use axum::serve::{Listener, ListenerExt};
+use axum::serve::{Listener, ListenerExt, TapIo};
 use serde::Deserialize;
 use tokio::net::TcpStream;
 use tokio_rustls::server::TlsStream;
@@ -59,12 +59,18 @@ impl Connection for TlsStream<TcpStream> {
     }
 }
 
-/// Lets short messages go at once. Otherwise Nagle's algorithm keeps the answer to a stop back until the client has acknowledged
-/// the image before it, which Linux delays by 40 ms.
-fn send_at_once(connection: &impl Connection) {
-    if let Err(error) = connection.tcp().set_nodelay(true) {
-        tracing::debug!("answers to a client may be late, TCP_NODELAY: {error}");
-    }
+/// Lets short messages of all connections go at once. Otherwise Nagle's algorithm keeps the answer to a stop back until the client
+/// has acknowledged the image before it, which Linux delays by 40 ms.
+fn sending_at_once<L>(listener: L) -> TapIo<L, impl FnMut(&mut L::Io)>
+where
+    L: Listener,
+    L::Io: Connection,
+{
+    listener.tap_io(|connection| {
+        if let Err(error) = connection.tcp().set_nodelay(true) {
+            tracing::debug!("answers to a client may be late, TCP_NODELAY: {error}");
+        }
+    })
 }
 
 /// Serves until an error of the system.
@@ -83,8 +89,7 @@ where
         .layer(from_fn_with_state(state.clone(), guard))
         .with_state(state);
     let service = routes.into_make_service_with_connect_info::<SocketAddr>();
-    let listener = listener.tap_io(|connection| send_at_once(connection));
-    axum::serve(listener, service).await.context("the server has ended")
+    axum::serve(sending_at_once(listener), service).await.context("the server has ended")
 }
 
 /// Without tokens, a name that is not this computer's gets nothing at all.
@@ -148,12 +153,11 @@ mod tests {
     use tokio::net::TcpListener;
 
     #[tokio::test]
-    async fn a_short_answer_does_not_wait_until_the_message_before_it_is_acknowledged() {
+    async fn connections_send_short_messages_at_once() {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let _client = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
-        let (connection, _) = listener.accept().await.unwrap();
-        assert!(!connection.nodelay().unwrap());
-        send_at_once(&connection);
+        let address = listener.local_addr().unwrap();
+        let _client = TcpStream::connect(address).await.unwrap();
+        let (connection, _) = Listener::accept(&mut sending_at_once(listener)).await;
         assert!(connection.nodelay().unwrap());
     }
 }

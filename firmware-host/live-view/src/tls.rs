@@ -25,7 +25,7 @@ const MOST_HANDSHAKES: usize = 32;
 /// Pause after an error of the system, such as too many open files.
 const PAUSE: Duration = Duration::from_millis(200);
 
-type Connection = (TlsStream<TcpStream>, SocketAddr);
+type Accepted = (TlsStream<TcpStream>, SocketAddr);
 
 /// Reads a certificate chain and its key, both as PEM.
 ///
@@ -54,7 +54,7 @@ pub fn config(certificate: &Path, key: &Path) -> Result<Arc<ServerConfig>, Refus
 /// Accepts clients whose TLS handshake has succeeded. A client that is slow with it does not keep others waiting.
 pub struct TlsListener {
     address: SocketAddr,
-    connections: mpsc::Receiver<Connection>,
+    connections: mpsc::Receiver<Accepted>,
 }
 
 impl TlsListener {
@@ -74,7 +74,7 @@ impl Listener for TlsListener {
     type Io = TlsStream<TcpStream>;
     type Addr = SocketAddr;
 
-    async fn accept(&mut self) -> Connection {
+    async fn accept(&mut self) -> Accepted {
         match self.connections.recv().await {
             Some(connection) => connection,
             // The task that accepts ends only after this listener.
@@ -87,7 +87,7 @@ impl Listener for TlsListener {
     }
 }
 
-async fn accept(listener: TcpListener, acceptor: TlsAcceptor, sender: mpsc::Sender<Connection>) {
+async fn accept(listener: TcpListener, acceptor: TlsAcceptor, sender: mpsc::Sender<Accepted>) {
     let free = Arc::new(Semaphore::new(MOST_HANDSHAKES));
     while !sender.is_closed() {
         let Ok(permit) = Arc::clone(&free).acquire_owned().await else { return };

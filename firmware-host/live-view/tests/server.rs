@@ -334,3 +334,24 @@ async fn the_page_comes_with_headers_that_let_nothing_else_in() {
         }
     }
 }
+
+#[test]
+fn output_that_is_not_read_ends_the_program_with_no_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    // It prints where the layout is, and then finds its address taken.
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_live-view"))
+        .args(["--listen", &taken.local_addr().unwrap().to_string(), "--robot"])
+        .arg(folder.path().join("no-robot.sock"))
+        .arg("--layout")
+        .arg(folder.path().join("layout.json"))
+        .stdout(writer)
+        .stderr(std::process::Stdio::piped())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("cannot listen at"), "{said}");
+}

@@ -12,11 +12,11 @@ use crate::cli::MountsArgs;
 use crate::config::Config;
 use urdf::{LinkPose, Urdf};
 
-/// The link on the floor below the middle of the axle, by REP-120.
+/// The usual name of a link on the floor below the robot. The printed comment says that it must be below the middle of the axle.
 const FLOOR_LINK: &str = "base_footprint";
 /// The robot takes the LiDAR's plane as level. At 1 degree it rises 7 cm in 4 m.
 const LEVEL_DEG: f64 = 1.0;
-/// A LiDAR that points further away than this has its front elsewhere, the range of `lidar.yaw_deg`.
+/// The range of `lidar.yaw_deg`. A scanner that is turned further is described by `devices.lidar.zero_deg`.
 const FORWARD_DEG: f64 = 45.0;
 
 /// Prints the mounts as sections of the configuration.
@@ -115,24 +115,22 @@ fn lidar_section(link: &str, t_base_link: &Pose3) -> Result<String> {
     let place_m = t_base_link.translation.vector;
     let front = t_base_link.rotation * Vector3::x();
     let yaw_deg = front.y.atan2(front.x).to_degrees();
-    let is_turned = yaw_deg.abs() > FORWARD_DEG;
-    let keys = [
-        ("height_m", place_m.z),
-        ("forward_m", place_m.x),
-        ("left_m", place_m.y),
-        ("yaw_deg", if is_turned { 0.0 } else { yaw_deg }),
-    ];
-    let mut text = format!("[lidar]\n# Link `{link}`.\n{}", lines(&keys));
-    if is_turned || upside_down {
-        text += "\n[devices.lidar]\n# Only an RPLIDAR, LD06 or LD19 can be mounted like this.\n";
+    let mut keys = vec![("height_m", place_m.z), ("forward_m", place_m.x), ("left_m", place_m.y)];
+    if yaw_deg.abs() <= FORWARD_DEG {
+        keys.push(("yaw_deg", yaw_deg));
     }
-    if is_turned {
-        text += &lines(&[("zero_deg", yaw_deg)]);
-    }
-    if upside_down {
-        text += "upside_down = true\n";
-    }
-    Ok(text)
+    let hangs = if upside_down { "\n[devices.lidar]\nupside_down = true\n" } else { "" };
+    Ok(format!("[lidar]\n# Link `{link}`.\n{}{}{hangs}", lines(&keys), rotary_comment(yaw_deg)))
+}
+
+/// A URDF says where a link points, and not where the zero of the device is.
+fn rotary_comment(yaw_deg: f64) -> String {
+    let opposite_deg = if yaw_deg > 0.0 { yaw_deg - 180.0 } else { yaw_deg + 180.0 };
+    format!(
+        "# The link's x axis points {yaw_deg:.1} degrees to the left. For an RPLIDAR, LD06 or LD19 this says nothing of yaw_deg, which is\n\
+         # then 0, but of devices.lidar.zero_deg: {yaw_deg:.1} if x is the device's own zero, {opposite_deg:.1} for an RPLIDAR whose link is\n\
+         # that of Slamtec's ROS driver, which turns its scans by 180 degrees. In the live view, what stands ahead must be ahead.\n"
+    )
 }
 
 /// Lines of TOML, rounded to a tenth of a millimetre and of a millidegree.
@@ -204,14 +202,30 @@ mod tests {
     }
 
     #[test]
-    fn a_lidar_whose_zero_points_back_or_that_hangs_is_described_by_the_keys_of_the_device() {
-        let turned = format!("{LIDAR} rpy=\"0 0 3.1415926\"");
-        let lidar = config(&robot(CAMERA, &turned), None);
-        assert_eq!((lidar.lidar.yaw_deg, lidar.devices.lidar.zero_deg), (0.0, 180.0));
-        assert!(!lidar.devices.lidar.upside_down);
+    fn a_lidar_that_is_turned_far_gets_no_yaw_but_both_directions_that_its_zero_may_have() {
+        let turned = robot(CAMERA, &format!("{LIDAR} rpy=\"0 0 -1.5707963\""));
+        assert_eq!(config(&turned, None).lidar.yaw_deg, 0.0);
+        let said = mounts(&turned, None).unwrap();
+        assert!(!said.contains("yaw_deg = -90"), "{said}");
+        assert!(
+            said.contains("-90.0 if x is the device's own zero, 90.0 for an RPLIDAR"),
+            "{said}"
+        );
+    }
+
+    #[test]
+    fn a_lidar_that_hangs_upside_down_says_so_and_points_where_its_link_points() {
         let hanging = format!("{LIDAR} rpy=\"3.1415927 0 0.5235988\"");
-        let lidar = config(&robot(CAMERA, &hanging), None);
-        assert_eq!((lidar.lidar.yaw_deg, lidar.devices.lidar.upside_down), (30.0, true));
+        let config = config(&robot(CAMERA, &hanging), None);
+        assert!(config.devices.lidar.upside_down);
+        assert_eq!(config.lidar.yaw_deg, 30.0);
+    }
+
+    #[test]
+    fn a_camera_that_is_rolled_and_looks_aside_has_the_angles_of_the_urdf() {
+        let aside = "xyz=\"0 0 0.5\" rpy=\"0.0872665 0.1745329 0.3490659\"";
+        let camera = config(&robot(aside, LIDAR), None).camera;
+        assert_eq!([camera.roll_deg, camera.pitch_down_deg, camera.yaw_deg], [5.0, 10.0, 20.0]);
     }
 
     #[test]

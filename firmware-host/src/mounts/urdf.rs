@@ -49,8 +49,13 @@ impl Urdf {
     fn parse(text: &str) -> Result<Self> {
         let document = Document::parse(text).context("it is not XML")?;
         let robot = document.root_element();
-        let is_xacro = robot.descendants().any(|node| node.tag_name().namespace().is_some());
-        ensure!(!is_xacro, "it is a xacro file: convert it by `xacro FILE > robot.urdf` first");
+        let is_xacro = |node: Node<'_, '_>| {
+            node.tag_name().namespace().is_some_and(|namespace| namespace.contains("xacro"))
+        };
+        ensure!(
+            !robot.descendants().any(is_xacro),
+            "it is a xacro file: convert it by `xacro FILE > robot.urdf` first"
+        );
         let name = robot.tag_name().name();
         ensure!(name == "robot", "its root element is <{name}>, and must be <robot>");
         let links = elements(robot, "link").map(|link| text_of(link, "name"));
@@ -125,6 +130,10 @@ fn joint(node: Node<'_, '_>) -> Result<Joint> {
 /// The pose of the element's `<origin>`: metres, and rotations about the fixed axes x, y and z in this order, radians.
 fn origin(node: Node<'_, '_>) -> Result<Pose3> {
     let Some(origin) = elements(node, "origin").next() else { return Ok(Pose3::identity()) };
+    ensure!(
+        origin.attribute("quat_xyzw").is_none(),
+        "its origin has `quat_xyzw`, which is not read: write `rpy`"
+    );
     let place_m = three_numbers(origin, "xyz")?;
     let [roll, pitch, yaw] = three_numbers(origin, "rpy")?;
     let rotation = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
@@ -203,5 +212,6 @@ mod tests {
             assert!(said.contains("joint `a`") && said.contains("three finite numbers"), "{said}");
         }
         assert!(error(&MAST.replace("parent", "from"), "mast").contains("it has no <parent>"));
+        assert!(error(&MAST.replace("rpy", "quat_xyzw"), "mast").contains("write `rpy`"));
     }
 }

@@ -282,6 +282,8 @@ impl Observer for RunLog {
         input: &TickInput<'_>,
         decision: &Decision,
     ) -> Result<()> {
+        // The copy for clients of the live view must not count against a model on trial.
+        let late = self.started.elapsed().as_nanos() > u128::from(self.period_ns);
         if let Some(live) = &mut self.live {
             self.stopwatch.start();
             live.offer(robot, input, decision, self.started.elapsed());
@@ -291,7 +293,6 @@ impl Observer for RunLog {
         self.line.observe(input, robot.compared_depth());
         log_agreement(&self.line, &mut self.line_logged_ns, input.time_ns);
         if let Some(models) = &mut self.models {
-            let late = self.started.elapsed().as_nanos() > u128::from(self.period_ns);
             models.after(robot, input, decision, late);
         }
         self.note(decision, &input.wheel);

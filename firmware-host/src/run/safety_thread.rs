@@ -59,7 +59,7 @@ pub struct LoopStatus {
     pub steps: u64,
     /// Number of steps that were skipped because an earlier one took too long.
     pub skipped: u64,
-    /// Largest delay of the start of a step.
+    /// Largest delay of the start of a step, also of one that was skipped.
     pub worst_late_ns: u64,
 }
 
@@ -223,14 +223,7 @@ where
             self.step(now_ns, &mut status);
             self.steps.fetch_add(1, Ordering::Release);
             due_ns += period_ns;
-            let now_ns = clock.now_ns();
-            let missed = missed_steps(due_ns, now_ns, period_ns);
-            if missed > 0 {
-                // The step after them starts in time, but the first of them would have been this late.
-                late.record(now_ns - due_ns);
-                status.skipped += missed;
-                due_ns += missed * period_ns;
-            }
+            due_ns += leave_out(due_ns, clock.now_ns(), period_ns, &mut status, &mut late);
         }
         self.task.shut_down();
         late
@@ -277,6 +270,24 @@ fn lapsed_after(event: Option<SafetyEvent>, before: Option<FaultReason>) -> Opti
         Some(SafetyEvent::Armed) => None,
         _ => before,
     }
+}
+
+/// Counts the steps that are left out at `now_ns`, because one before them took too long, and how late the first of them would have
+/// started: the step after them starts in time. Returns by how much the next step is later than `due_ns`.
+fn leave_out(
+    due_ns: u64,
+    now_ns: u64,
+    period_ns: u64,
+    status: &mut LoopStatus,
+    late: &mut LatencyHistogram,
+) -> u64 {
+    let missed = missed_steps(due_ns, now_ns, period_ns);
+    if missed > 0 {
+        late.record(now_ns - due_ns);
+        status.worst_late_ns = status.worst_late_ns.max(now_ns - due_ns);
+        status.skipped += missed;
+    }
+    missed * period_ns
 }
 
 /// Number of steps that are left out because the loop is late at `now_ns`. They are not made up for: a burst of late steps
@@ -374,6 +385,19 @@ mod tests {
     fn a_loop_that_is_late_leaves_out_the_steps_that_it_missed() {
         let missed = [99, 100, 101, 109, 110, 3099].map(|now_ns| missed_steps(100, now_ns, 10));
         assert_eq!(missed, [0, 0, 1, 1, 2, 300]);
+    }
+
+    #[test]
+    fn a_step_that_took_too_long_makes_the_next_one_late_although_that_is_left_out() {
+        let (looping, _thread) = looping();
+        let mut status = first_status(&looping.task);
+        let mut late = LatencyHistogram::default();
+        assert_eq!(leave_out(100, 99, 10, &mut status, &mut late), 0);
+        assert_eq!((status.skipped, status.worst_late_ns), (0, 0));
+        assert_eq!(late.quantile_ns(1.0), None);
+        assert_eq!(leave_out(100, 112, 10, &mut status, &mut late), 20);
+        assert_eq!((status.skipped, status.worst_late_ns), (2, 12));
+        assert!(late.quantile_ns(1.0).is_some());
     }
 
     #[test]

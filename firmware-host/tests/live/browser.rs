@@ -1,11 +1,13 @@
 //! The page in a real browser.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use live_view::access::{Access, Transport};
 use live_view::robot::Robot;
 use live_view::server;
+use rustix::process::Signal;
 use tokio::net::TcpListener;
 
 use super::devtools::Browser;
@@ -69,6 +71,13 @@ async fn the_page_shows_a_run_and_its_buttons_act() {
     browser.wait("a stop", &format!("{}.includes('emergency stop')", text("why"))).await;
     let answer = browser.value(&text("answer")).await;
     assert_eq!(answer, "stop: the safety plane has stopped the robot");
+    // No key arms it: the answer to the second key comes after what the first one did.
+    browser.press_key("a").await;
+    browser.press_key("p").await;
+    browser.wait("a pause", &format!("{}.startsWith('pause: ')", text("answer"))).await;
+    let why = browser.value(&text("why")).await;
+    assert!(why.as_str().unwrap().contains("emergency stop"), "{why}");
+    browser.click("[data-order=resume]").await;
     browser.click("[data-order=arm]").await;
     browser.wait("driving again", &format!("!{}.includes('Stopped')", text("why"))).await;
     browser.press_key("Escape").await;
@@ -175,6 +184,29 @@ async fn a_robot_that_is_gone_is_shown_as_lost_and_as_live_when_it_is_back() {
     browser
         .wait("live data again", "document.getElementById('link')?.textContent === 'live'")
         .await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs chromium; `cargo xtask test` runs it where that is installed"]
+async fn a_robot_that_is_silent_and_a_view_that_is_gone_are_shown_as_lost() {
+    let run = Arc::new(Explore::start(&["--seed", "1", "--no-recording"]));
+    // The view has threads of its own, which can end while the browser goes on.
+    let view = tokio::runtime::Runtime::new().unwrap();
+    let of_the_view = Arc::clone(&run);
+    let page = view.spawn(async move { serve(&of_the_view).await }).await.unwrap();
+    let mut browser = Browser::start().await;
+    browser.open(&page).await;
+    let is_live = "document.getElementById('link')?.textContent === 'live'";
+    browser.wait("live data", is_live).await;
+
+    run.signal(Signal::STOP);
+    browser.wait("silence", &is_shown("lost")).await;
+    run.signal(Signal::CONT);
+    browser.wait("live data again", is_live).await;
+
+    view.shutdown_background();
+    let said = format!("{}.startsWith('The link to live-view is lost')", text("lost"));
+    browser.wait("a lost view", &said).await;
 }
 
 /// Makes the images of docs/live-view.md: `cargo xtask live` runs it.

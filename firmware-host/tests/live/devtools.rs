@@ -31,7 +31,7 @@ pub struct Browser {
     next_id: u64,
 }
 
-/// The program's name. Tests that call this are ignored unless somebody asks for them.
+/// The program's name. Tests that call this are ignored; `cargo xtask test` runs them where there is a browser.
 fn program() -> &'static str {
     let runs = |program: &&str| {
         Command::new(program).arg("--version").output().is_ok_and(|output| output.status.success())

@@ -64,8 +64,12 @@ impl Explore {
 
     /// Ends the run as Ctrl-C does; it reports and exits.
     pub fn end(&mut self) {
-        kill_process(Pid::from_raw(self.child.id() as i32).unwrap(), Signal::INT).unwrap();
+        self.signal(Signal::INT);
         assert!(self.child.wait().unwrap().success());
+    }
+
+    pub fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_raw(self.child.id() as i32).unwrap(), signal).unwrap();
     }
 
     /// Ends the process at once, as a crash does.

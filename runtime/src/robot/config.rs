@@ -65,8 +65,8 @@ pub struct RobotConfig {
 }
 
 impl RobotConfig {
-    /// Coarse depth and the defaults of all sections, for a robot of these dimensions: what a program without a configuration
-    /// file runs, and what tests change as little of as they can.
+    /// Coarse depth and the defaults of all sections, for a robot of these dimensions. Tests drive it; it equals the robot of the
+    /// default configuration, which a test of `firmware-host` checks.
     #[must_use]
     pub fn of(
         robot: &RobotDescription,

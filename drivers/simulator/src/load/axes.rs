@@ -21,7 +21,7 @@ pub enum UpAxis {
 /// Ratio of level surface along z to that along y above which a glTF file is taken as z up.
 const Z_UP_RATIO: f64 = 3.0;
 
-/// Ratio of level surface along the other axis to that along the requested one above which the request is doubted in an OBJ file.
+/// Ratio of level surface along the other axis to that along the requested one above which the request is doubted.
 const DOUBTED_RATIO: f64 = 2.0;
 
 /// Replaces [`UpAxis::Auto`] by the detected axis. The largest flat surface of a home at one height
@@ -52,20 +52,20 @@ fn detect(is_gltf: bool, y: f64, z: f64) -> UpAxis {
 
 /// Why the requested axis is probably wrong, from the largest level surfaces along y and z. The robot would drive on a wall.
 fn doubt(requested: UpAxis, is_gltf: bool, y: f64, z: f64) -> Option<String> {
-    if is_gltf && requested == UpAxis::Z && detect(is_gltf, y, z) == UpAxis::Y {
-        return Some(
-            "z was requested as the up axis, but y points up in glTF files, and the scene's level surfaces do not speak against \
-             it: if the robot drives on a wall, request y or no axis"
-                .to_owned(),
-        );
-    }
     let (axis, own, other_axis, other) =
         if requested == UpAxis::Z { ("z", z, "y", y) } else { ("y", y, "z", z) };
-    (other > DOUBTED_RATIO * own).then(|| {
-        format!(
+    if other > DOUBTED_RATIO * own {
+        return Some(format!(
             "{axis} was requested as the up axis, but the largest level surface is {:.1} times as large along {other_axis}: if \
              the robot drives on a wall, request {other_axis} or no axis",
             other / own.max(f64::MIN_POSITIVE)
+        ));
+    }
+    let contradicts_gltf = is_gltf && requested == UpAxis::Z && detect(is_gltf, y, z) == UpAxis::Y;
+    contradicts_gltf.then(|| {
+        format!(
+            "z was requested as the up axis, but y points up in glTF files, and the largest level surface is less than \
+             {Z_UP_RATIO} times as large along z: if the robot drives on a wall, request y or no axis"
         )
     })
 }
@@ -129,6 +129,7 @@ mod tests {
     #[test]
     fn z_is_doubted_in_a_gltf_file_unless_its_floor_lies_along_z() {
         assert!(doubt(UpAxis::Z, true, 60.0, 60.0).unwrap().contains("y points up in glTF"));
+        assert!(doubt(UpAxis::Z, true, 80.0, 25.0).unwrap().contains("3.2 times as large along y"));
         assert!(doubt(UpAxis::Z, true, 60.0, 110.0).is_some());
         assert_eq!(doubt(UpAxis::Z, true, 20.0, 80.0), None);
         assert_eq!(doubt(UpAxis::Y, true, 60.0, 60.0), None);

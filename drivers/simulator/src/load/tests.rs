@@ -282,8 +282,8 @@ fn a_hand_made_home_loads_alike_from_glb_and_obj() {
     }
 }
 
-/// The larger scenes for development, in `EMBODIED_DEPTH_DATA` or the default folder. Tests that call this are ignored unless
-/// somebody asks for them.
+/// The larger scenes for development, in `EMBODIED_DEPTH_DATA` or the default folder. Tests that call this are ignored;
+/// `cargo xtask test` runs them where the scenes are.
 pub(crate) fn shared_scenes() -> PathBuf {
     let configured = std::env::var_os("EMBODIED_DEPTH_DATA").map(PathBuf::from);
     let default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");

@@ -1,7 +1,7 @@
 //! Export in the format of the TUM RGB-D benchmark (Sturm et al. 2012), which `firmware-host perceive --dataset` reads.
 //!
-//! `rgb/` and `rgb.txt` contain the images that the control loop processed. `groundtruth.txt` contains the camera poses from
-//! wheel odometry; in spite of the file's name they are not ground truth, because odometry drifts. Simulated runs that recorded
+//! `rgb/` and `rgb.txt` contain the images that the control loop processed. `groundtruth.txt` contains the camera poses in
+//! `map` as localized while the robot drove; in spite of the file's name they are not ground truth. Simulated runs that recorded
 //! ground-truth depth also have `depth/` and `depth.txt`.
 
 use std::fmt::Write as _;
@@ -171,7 +171,7 @@ fn manifest(header: &SegmentHeader, times_ns: &[u64]) -> String {
     let source = header.run.written_by.replace(['"', '\\', '\n'], " ");
     format!(
         "name = \"run\"\nlayout = \"tum\"\nnominal_fps = {:?}\ndepth_scale = {DEPTH_SCALE:?}\nsource = \"{source}\"\n\
-         note = \"poses are the robot's odometry, which drifts\"\nup = [0.0, 0.0, 1.0]\n\n[camera]\nwidth = {width}\nheight = {height}\n\
+         note = \"poses are localized by the robot and not ground truth\"\nup = [0.0, 0.0, 1.0]\n\n[camera]\nwidth = {width}\nheight = {height}\n\
          fx = {fx:?}\nfy = {fy:?}\ncx = {cx:?}\ncy = {cy:?}\ndistortion = {distortion}\n",
         frames_per_second(times_ns)
     )

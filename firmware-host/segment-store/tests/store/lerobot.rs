@@ -14,7 +14,7 @@ use segment_store::export::{LerobotSummary, lerobot};
 use serde_json::Value;
 use tempfile::tempdir;
 
-/// A tick with an image, odometry and a command.
+/// A tick with an image, a pose and a command.
 fn full_tick(number: u64, time_ns: u64) -> RecordedTick {
     let command = Velocity { linear_mps: 0.3, angular_radps: -0.01 * number as f64 };
     let decision = Decision {

@@ -33,7 +33,7 @@ pub struct LerobotSummary {
     pub episodes: u64,
     /// The number of frames: images with the state and the action at their time.
     pub frames: u64,
-    /// The number of images that were left out because their tick has no odometry, or no tick follows that holds their command.
+    /// The number of images that were left out because their tick has no pose, or no tick follows that holds their command.
     pub left_out: u64,
     /// The number of segments that end early; their complete ticks are exported.
     pub cut: u64,
@@ -43,7 +43,7 @@ pub struct LerobotSummary {
 ///
 /// # Errors
 /// When `to` exists already or cannot be written, a segment is not a recording, the segments are out of order, or the run contains
-/// no image with odometry and a command.
+/// no image with a pose and a command.
 pub fn lerobot(segments: &[PathBuf], to: &Path) -> Result<LerobotSummary, StoreError> {
     check_order(segments)?;
     new_folder(to, |dir| {
@@ -183,7 +183,7 @@ impl Export {
         self.exported.left_out += u64::from(self.waiting.take().is_some());
         let Some(header) = self.header.clone().filter(|_| self.rows.total() > 0) else {
             let detail =
-                "the run contains no image with odometry and a command, so there is nothing to export"
+                "the run contains no image with a pose and a command, so there is nothing to export"
                     .to_owned();
             return Err(StoreError::Segment { path: self.run, detail });
         };
