@@ -22,6 +22,7 @@ const FEW_KILLS: &str = "6 of each are among the tests; `cargo xtask test --all`
 /// Ignored tests of the live view that measure or draw, and have no peer.
 const NO_MEASUREMENTS: &str =
     "--skip cost_of_the_view --skip figures_of_the_link --skip screenshots_for_the_documentation";
+const NO_SMALL_BUILD: &str = "`cargo xtask test --all` checks that it compiles";
 const NO_SITE: &str = "its links are checked by a test; `cargo xtask docs` builds it";
 
 /// What is built, once for all steps: the workspace with the features that are off by default.
@@ -114,6 +115,13 @@ pub fn run(all: bool) -> Result<()> {
         (
             "examples in the documentation",
             step(&mut cargo(&format!("test {TESTED} --doc --quiet"))),
+        ),
+        (
+            "pull-buffer without optional features",
+            match all || ci {
+                true => step(&mut cargo("check --locked --package pull-buffer")),
+                false => (Outcome::Skipped(NO_SMALL_BUILD), 0.0),
+            },
         ),
         ("licences and sources", licences::check(all || ci)),
         (

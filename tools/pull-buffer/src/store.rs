@@ -9,8 +9,8 @@ pub use unsupported::Bucket;
 mod unsupported {
     use hal::Clock;
     use segment_store::pull::{Options, Progress, Report};
-    use segment_store::source::Source;
-    use segment_store::{Digest, Entry, FileSink, LocalCopy, Name, StoreError};
+    use segment_store::source::{Listing, Source};
+    use segment_store::{Digest, FileSink, LocalCopy, Name, StoreError};
 
     /// A placeholder for an object store; opening one is an error.
     #[allow(dead_code, reason = "never constructed")]
@@ -42,7 +42,7 @@ mod unsupported {
     }
 
     impl Source for Bucket {
-        fn list(&mut self) -> Result<Vec<Entry>, StoreError> {
+        fn list(&mut self) -> Result<Listing, StoreError> {
             Err(unsupported())
         }
 
