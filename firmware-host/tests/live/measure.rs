@@ -12,6 +12,7 @@ use live_view::server;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use tokio::net::{TcpListener, TcpStream};
+use tokio::runtime::{Builder, Runtime};
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
@@ -160,14 +161,42 @@ async fn print_figures_of(socket: &Path) {
     );
 }
 
-/// Clients that subscribe everything and read what comes, until it is aborted.
-async fn watch(socket: PathBuf, clients: usize) {
-    let url = serve(&socket).await;
-    let readers = (0..clients).map(|_| async {
-        let (mut socket, _) = connect(&url).await;
-        while let Some(Ok(_)) = socket.next().await {}
-    });
-    futures_util::future::join_all(readers).await;
+/// The view, and clients that subscribe everything and read what comes, until they are dropped. The clients of a robot are other
+/// computers: here they have the lowest priority, so that they take as little as possible of what robot and view need.
+struct Watched {
+    view: tokio::task::JoinHandle<()>,
+    clients: Option<Runtime>,
+}
+
+impl Watched {
+    fn begin(socket: PathBuf, count: usize) -> Self {
+        let lowest = || _ = rustix::process::nice(19);
+        let clients = Builder::new_multi_thread()
+            .worker_threads(2)
+            .on_thread_start(lowest)
+            .enable_all()
+            .build()
+            .unwrap();
+        let handle = clients.handle().clone();
+        let view = tokio::spawn(async move {
+            let url = serve(&socket).await;
+            for _ in 0..count {
+                let url = url.clone();
+                handle.spawn(async move {
+                    let (mut socket, _) = connect(&url).await;
+                    while let Some(Ok(_)) = socket.next().await {}
+                });
+            }
+        });
+        Self { view, clients: Some(clients) }
+    }
+}
+
+impl Drop for Watched {
+    fn drop(&mut self) {
+        self.view.abort();
+        self.clients.take().into_iter().for_each(Runtime::shutdown_background);
+    }
 }
 
 /// The tick's latencies in the summary of a run with this number of clients.
@@ -182,14 +211,12 @@ async fn run(clients: Option<usize>) -> Value {
     let view = clients.map(|clients| {
         let socket = folder.path().join("live.sock");
         command.arg("--live").arg(&socket);
-        tokio::spawn(watch(socket, clients))
+        Watched::begin(socket, clients)
     });
     let mut child = command.spawn().unwrap();
     let status = tokio::task::spawn_blocking(move || child.wait().unwrap()).await.unwrap();
     assert!(status.success());
-    if let Some(view) = view {
-        view.abort();
-    }
+    drop(view);
     latencies(folder.path())
 }
 
@@ -205,16 +232,14 @@ async fn drive(clients: Option<usize>) -> Value {
     let world = LiveWorld::start(folder.path(), &LiveOptions::default()).unwrap();
     let view = clients.map(|clients| {
         let socket = add_live_view(&world, folder.path());
-        tokio::spawn(watch(socket, clients))
+        Watched::begin(socket, clients)
     });
     let mut robot = start(&world, folder.path());
     tokio::time::sleep(DRIVE).await;
     kill_process(Pid::from_raw(robot.id() as i32).unwrap(), Signal::TERM).unwrap();
     let status = tokio::task::spawn_blocking(move || robot.wait().unwrap()).await.unwrap();
     assert!(status.success());
-    if let Some(view) = view {
-        view.abort();
-    }
+    drop(view);
     println!("  {:.1} m driven", world.home().score().1);
     latencies(folder.path())
 }
