@@ -51,7 +51,9 @@ function now(message) {
   state.heard = performance.now();
   state.now = message;
   setText("why", message.why);
-  const facts = [`${(message.linear_mps ?? 0).toFixed(2)} m/s`, `(${message.x_m?.toFixed(1)}, ${message.y_m?.toFixed(1)}) m`, `${message.run_s.toFixed(0)} s`];
+  const rotates = message.angular_radps && !message.linear_mps;
+  const speed = rotates ? `${Math.abs((message.angular_radps * 180) / Math.PI).toFixed(0)} °/s` : `${(message.linear_mps ?? 0).toFixed(2)} m/s`;
+  const facts = [speed, `(${message.x_m?.toFixed(1)}, ${message.y_m?.toFixed(1)}) m`, `${message.run_s.toFixed(0)} s`];
   setText("facts", facts.join("  \u00b7  "));
   const goal = message.goal ? { x: message.goal.x_m, y: message.goal.y_m } : null;
   map.set({ pose: { x: message.x_m, y: message.y_m, yaw: (message.yaw_deg * Math.PI) / 180 }, goal });
