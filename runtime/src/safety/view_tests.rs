@@ -84,6 +84,26 @@ fn a_wall_within_the_scanners_noise_is_passed_slowly_and_one_beyond_it_at_full_s
 }
 
 #[test]
+fn what_stands_beside_the_path_limits_the_speed_as_far_ahead_as_the_robot_needs_to_stop() {
+    let config = SafetyConfig { brake_mps2: 0.5, reaction_s: 0.2, ..SafetyConfig::default() };
+    let mut room = Room::with(config.clone(), 5.0, Pose2::IDENTITY);
+    let reach_m = config.stop_distance_m + config.stopping_distance_m(FORWARD.linear_mps);
+    // A post beside the outline. The outline that is widened by the margin meets it after nine tenths of the reach.
+    let y_m = config.footprint_radius_m + 0.5 * config.lateral_margin_m;
+    let wide_m = config.footprint_radius_m + config.lateral_margin_m;
+    let x_m = 0.9 * reach_m + (wide_m * wide_m - y_m * y_m).sqrt();
+    let mut scan = room.scan();
+    for (beam, range) in scan.ranges.iter_mut().enumerate() {
+        if (scan.geometry.angle_rad(beam) - y_m.atan2(x_m)).abs() < 0.02 {
+            *range = Range::Hit(x_m.hypot(y_m) as f32);
+        }
+    }
+    room.tick_with(FORWARD, Some(&scan), false);
+    let wheel = room.plane.wheel.unwrap();
+    assert!(room.plane.limit_beside_mps(&wheel, &FORWARD).is_finite());
+}
+
+#[test]
 fn a_scanner_that_repeats_one_scan_while_the_robot_moves_is_frozen() {
     let mut room = driving();
     let frozen = room.scan();
