@@ -120,7 +120,7 @@ impl Tokens {
 /// What protects the bytes between a client and this program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Transport {
-    /// No encryption: only for a network that is trusted.
+    /// No encryption: only for clients on this computer.
     Plain,
     /// TLS of this program.
     Tls,

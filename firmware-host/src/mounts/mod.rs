@@ -123,13 +123,13 @@ fn lidar_section(link: &str, t_base_link: &Pose3) -> Result<String> {
     Ok(format!("[lidar]\n# Link `{link}`.\n{}{}{hangs}", lines(&keys), rotary_comment(yaw_deg)))
 }
 
-/// A URDF says where a link points, and not where the zero of the device is.
+/// A URDF gives the direction of a link, and not that of the device's own zero.
 fn rotary_comment(yaw_deg: f64) -> String {
     let opposite_deg = if yaw_deg > 0.0 { yaw_deg - 180.0 } else { yaw_deg + 180.0 };
     format!(
-        "# The link's x axis points {yaw_deg:.1} degrees to the left. For an RPLIDAR, LD06 or LD19 this says nothing of yaw_deg, which is\n\
-         # then 0, but of devices.lidar.zero_deg: {yaw_deg:.1} if x is the device's own zero, {opposite_deg:.1} for an RPLIDAR whose link is\n\
-         # that of Slamtec's ROS driver, which turns its scans by 180 degrees. In the live view, what stands ahead must be ahead.\n"
+        "# For an RPLIDAR, LD06 or LD19, set yaw_deg = 0 here, and the direction by zero_deg of [devices.lidar]: {yaw_deg:.1}, the direction\n\
+         # of the link's x axis, if x is the device's own zero; {opposite_deg:.1} for an RPLIDAR whose link is that of Slamtec's ROS driver, which\n\
+         # turns its scans by 180 degrees. Check it in the live view: what stands ahead must be ahead.\n"
     )
 }
 
@@ -208,7 +208,8 @@ mod tests {
         let said = mounts(&turned, None).unwrap();
         assert!(!said.contains("yaw_deg = -90"), "{said}");
         assert!(
-            said.contains("-90.0 if x is the device's own zero, 90.0 for an RPLIDAR"),
+            said.contains("zero_deg of [devices.lidar]: -90.0,")
+                && said.contains("; 90.0 for an RPLIDAR"),
             "{said}"
         );
     }

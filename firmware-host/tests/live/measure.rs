@@ -22,9 +22,6 @@ use super::explore::Explore;
 type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 
 const STOPS: usize = 200;
-/// Ticks of a run whose cost is measured, and runs of each kind.
-const TICKS: &str = "600";
-const PAIRS: usize = 3;
 /// Drives of each kind on simulated devices, and how long each takes.
 const DRIVES: usize = 5;
 const DRIVE: Duration = Duration::from_secs(30);
@@ -199,27 +196,6 @@ impl Drop for Watched {
     }
 }
 
-/// The tick's latencies in the summary of a run with this number of clients.
-async fn run(clients: Option<usize>) -> Value {
-    let folder = tempfile::tempdir().unwrap();
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("firmware-host"));
-    command
-        .args(["explore", "--scene", "builtin:apartment?seed=1", "--frames", TICKS, "--real-time"])
-        .args(["--out", "run"])
-        .stdout(std::process::Stdio::null())
-        .current_dir(folder.path());
-    let view = clients.map(|clients| {
-        let socket = folder.path().join("live.sock");
-        command.arg("--live").arg(&socket);
-        Watched::begin(socket, clients)
-    });
-    let mut child = command.spawn().unwrap();
-    let status = tokio::task::spawn_blocking(move || child.wait().unwrap()).await.unwrap();
-    assert!(status.success());
-    drop(view);
-    latencies(folder.path())
-}
-
 fn latencies(folder: &Path) -> Value {
     let summary = std::fs::read_to_string(folder.join("run/summary.json")).unwrap();
     let summary: Value = serde_json::from_str(&summary).unwrap();
@@ -268,18 +244,6 @@ async fn cost_of_the_view_to_a_robot() {
     for _ in 0..DRIVES {
         without.push(drive(None).await);
         with.push(drive(Some(3)).await);
-    }
-    compare([("without", &without), ("with 3 clients", &with)]);
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-#[ignore = "prints figures for the documentation"]
-async fn cost_of_the_view_in_the_loop() {
-    let mut without = Vec::new();
-    let mut with = Vec::new();
-    for _ in 0..PAIRS {
-        without.push(run(None).await);
-        with.push(run(Some(3)).await);
     }
     compare([("without", &without), ("with 3 clients", &with)]);
 }
