@@ -74,22 +74,25 @@ fn parse(text: &str) -> Result<RobotKey> {
 
 /// Makes a key for this account only. The file appears with its contents or not at all, and is never replaced.
 fn make(path: &Path) -> Result<RobotKey> {
-    let failed = || format!("cannot write identity.key_file {}", path.display());
     let key = RobotKey::new(&random()?);
-    let folder = path.parent().filter(|dir| !dir.as_os_str().is_empty());
-    let folder = folder.unwrap_or(Path::new("."));
-    private::create_folder(folder).with_context(failed)?;
-    let partial = path.with_extension(format!("{}.partial", std::process::id()));
-    let mut file =
-        private::file_options().create(true).truncate(true).open(&partial).with_context(failed)?;
-    file.write_all(format!("{}\n", key.secret()).as_bytes()).with_context(failed)?;
-    file.sync_all().with_context(failed)?;
-    let linked = std::fs::hard_link(&partial, path);
-    std::fs::remove_file(&partial).with_context(failed)?;
-    linked.with_context(failed)?;
-    std::fs::File::open(folder).and_then(|folder| folder.sync_all()).with_context(failed)?;
+    write_new(path, &key)
+        .with_context(|| format!("cannot write identity.key_file {}", path.display()))?;
     tracing::info!("made this robot's key, {}: its identity is {}", path.display(), key.public());
     Ok(key)
+}
+
+fn write_new(path: &Path, key: &RobotKey) -> std::io::Result<()> {
+    let folder = path.parent().filter(|dir| !dir.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    private::create_folder(folder)?;
+    let partial = path.with_extension(format!("{}.partial", std::process::id()));
+    let mut file = private::file_options().create(true).truncate(true).open(&partial)?;
+    file.write_all(format!("{}\n", key.secret()).as_bytes())?;
+    file.sync_all()?;
+    let linked = std::fs::hard_link(&partial, path);
+    std::fs::remove_file(&partial)?;
+    linked?;
+    std::fs::File::open(folder)?.sync_all()
 }
 
 /// The identity of a run that begins now.

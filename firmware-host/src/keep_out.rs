@@ -23,15 +23,18 @@ pub fn close(file: Option<&Path>, policy: PolicyKind, config: &mut Config) -> Re
         let text = std::fs::read_to_string(path).with_context(|| {
             format!("cannot read {}; --keep-out needs a GeoJSON file with polygons", path.display())
         })?;
-        let named = || format!("--keep-out {}", path.display());
-        let polygons = polygons(&text).with_context(named)?;
+        let polygons = polygons(&text).with_context(|| named(path))?;
         if polygons.is_empty() {
-            return Err(anyhow!("the file has no polygon")).with_context(named);
+            return Err(anyhow!("the file has no polygon")).with_context(|| named(path));
         }
         config.planning.keep_out_m.extend(polygons);
         config.plan_config().validate()?;
     }
     if config.planning.keep_out_m.is_empty() { Ok(()) } else { can_keep_out(policy, config) }
+}
+
+fn named(path: &Path) -> String {
+    format!("--keep-out {}", path.display())
 }
 
 /// Whether a robot with this policy can keep out of areas.
@@ -65,21 +68,20 @@ pub fn polygons(text: &str) -> Result<Vec<Polygon>> {
 }
 
 fn collect(value: &Value, into: &mut Vec<Polygon>) -> Result<()> {
-    let parts = |key: &str| value[key].as_array().with_context(|| format!("`{key}` is not a list"));
     match value["type"].as_str() {
         Some("FeatureCollection") => {
-            parts("features")?.iter().try_for_each(|feature| collect(feature, into))
+            parts(value, "features")?.iter().try_for_each(|feature| collect(feature, into))
         }
         Some("Feature") => collect(&value["geometry"], into),
         Some("GeometryCollection") => {
-            parts("geometries")?.iter().try_for_each(|geometry| collect(geometry, into))
+            parts(value, "geometries")?.iter().try_for_each(|geometry| collect(geometry, into))
         }
         Some("Polygon") => {
             into.push(polygon(&value["coordinates"])?);
             Ok(())
         }
         Some("MultiPolygon") => {
-            for rings in parts("coordinates")? {
+            for rings in parts(value, "coordinates")? {
                 into.push(polygon(rings)?);
             }
             Ok(())
@@ -87,6 +89,10 @@ fn collect(value: &Value, into: &mut Vec<Polygon>) -> Result<()> {
         Some(other) => bail!("a {other} is not an area; only Polygon and MultiPolygon are"),
         None => bail!("a part without `type` is not GeoJSON"),
     }
+}
+
+fn parts<'a>(value: &'a Value, key: &str) -> Result<&'a Vec<Value>> {
+    value[key].as_array().with_context(|| format!("`{key}` is not a list"))
 }
 
 fn polygon(rings: &Value) -> Result<Polygon> {

@@ -111,8 +111,8 @@ impl Replayable for Loop {
 /// When there is nothing to replay, or the run needs a model that was not given.
 pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     let span = Span { from: args.from, until_mismatch: args.until_mismatch };
-    let build = |header: &RunHeader| build(&args.run, header, &args.models);
-    let report = replay(&args.run, span, build, &mut Output)?;
+    let report =
+        replay(&args.run, span, |header| build(&args.run, header, &args.models), &mut Output)?;
     Ok(if report.is_exact() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 

@@ -45,6 +45,10 @@ impl Home {
         self.path(name).to_str().unwrap().to_owned()
     }
 
+    fn read(&self, folder: &str, file: &str) -> Vec<u8> {
+        std::fs::read(self.path(folder).join(file)).unwrap()
+    }
+
     fn explore(&self, name: &str, frames: &str, more: &[&str]) -> Output {
         let config = self.text("robot.toml");
         let out = self.text(name);
@@ -92,12 +96,15 @@ fn a_home_that_was_saved_is_known_when_the_next_run_begins_and_that_run_replays(
     // It is lost until it has recognized the place in views from several headings.
     let again = home.explored("again", "100", &[next[0], next[1], "--map", &map]);
     assert_eq!(again["lost"]["loaded"], 1, "{again}");
-    let coverage = |summary: &serde_json::Value| summary["coverage"].as_f64().unwrap();
     assert!(coverage(&again) > 0.95 * coverage(&first), "{again} {first}");
     let found = ticks(&home.path("again")).pop().unwrap().decision.unwrap();
     assert_eq!(found.lost, None, "{again}");
     assert!(replayed(&home.text("again")).ends_with("replay: ticks=100 mismatches=0\n"));
     assert_ne!(std::fs::read(&map).unwrap(), saved, "the file holds the newer map");
+}
+
+fn coverage(summary: &serde_json::Value) -> f64 {
+    summary["coverage"].as_f64().unwrap()
 }
 
 #[test]
@@ -109,10 +116,13 @@ fn the_map_of_a_recording_is_the_one_that_the_run_saved() {
     let copy = home.text("copy.map");
     let saved = firmware_host(&["map", "save", &run, "--out", &copy]);
     assert!(saved.status.success(), "{}", text(&saved.stderr));
-    let state = |path: &str| MapFile::read(Path::new(path)).unwrap().state;
-    assert!(state(&map) == state(&copy));
+    assert!(state_in(&map) == state_in(&copy));
     let again = firmware_host(&["map", "save", &run, "--out", &copy]);
     assert!(!again.status.success() && text(&again.stderr).contains("exists already"));
+}
+
+fn state_in(map: &str) -> Vec<u8> {
+    MapFile::read(Path::new(map)).unwrap().state
 }
 
 #[test]
@@ -130,12 +140,11 @@ fn a_map_is_shown_and_exported_for_other_programs() {
         let exported = firmware_host(&["map", "export", from, "--out", &out]);
         assert!(exported.status.success(), "{}", text(&exported.stderr));
     }
-    let read = |name: &str, file: &str| std::fs::read(home.path(name).join(file)).unwrap();
     for file in ["map.pgm", "map.yaml", "walls.geojson"] {
-        assert!(read("from_file", file) == read("from_run", file), "{file}");
+        assert!(home.read("from_file", file) == home.read("from_run", file), "{file}");
     }
-    assert!(read("from_file", "map.png").len() > 1000);
-    let pgm = read("from_file", "map.pgm");
+    assert!(home.read("from_file", "map.png").len() > 1000);
+    let pgm = home.read("from_file", "map.pgm");
     let header = text(&pgm[..pgm.iter().position(|byte| *byte == b'\n').unwrap() + 20]);
     let mut numbers = header.split_whitespace().skip(1).map(str::parse::<usize>);
     let [width, height] = [(); 2].map(|()| numbers.next().unwrap().unwrap());
@@ -143,7 +152,7 @@ fn a_map_is_shown_and_exported_for_other_programs() {
     assert!(pixels.iter().all(|pixel| [0, 205, 254].contains(pixel)));
     let occupied = pixels.iter().filter(|pixel| **pixel == 0).count();
     let walls: serde_json::Value =
-        serde_json::from_slice(&read("from_file", "walls.geojson")).unwrap();
+        serde_json::from_slice(&home.read("from_file", "walls.geojson")).unwrap();
     let features = walls["features"].as_array().unwrap();
     let cells = features.iter().map(|feature| feature["properties"]["cells"].as_u64().unwrap());
     assert_eq!(cells.sum::<u64>(), occupied as u64);
@@ -159,12 +168,7 @@ fn a_damaged_map_and_one_of_another_robot_are_refused_and_stay_as_they_are() {
     let middle = damaged.len() / 2;
     damaged[middle] ^= 1;
     std::fs::write(&map, &damaged).unwrap();
-    let refused = |words: &str| {
-        let output = home.explore("refused", "20", &["--map", &map]);
-        assert!(!output.status.success() && !home.path("refused").exists());
-        assert!(text(&output.stderr).contains(words), "{}", text(&output.stderr));
-    };
-    refused("home.map is damaged");
+    refuses(&home, &map, "home.map is damaged");
     assert!(std::fs::read(&map).unwrap() == damaged);
 
     std::fs::write(&map, &good).unwrap();
@@ -174,9 +178,15 @@ fn a_damaged_map_and_one_of_another_robot_are_refused_and_stay_as_they_are() {
         ("[localization]\nsource = \"wheels\"\n", "localization.source"),
     ] {
         std::fs::write(home.path("robot.toml"), format!("{SMALL}{section}")).unwrap();
-        refused(words);
+        refuses(&home, &map, words);
         assert!(std::fs::read(&map).unwrap() == good);
     }
+}
+
+fn refuses(home: &Home, map: &str, words: &str) {
+    let output = home.explore("refused", "20", &["--map", map]);
+    assert!(!output.status.success() && !home.path("refused").exists());
+    assert!(text(&output.stderr).contains(words), "{}", text(&output.stderr));
 }
 
 #[test]
@@ -185,27 +195,26 @@ fn a_robot_stays_within_a_fence_and_the_fence_is_in_the_recording() {
     let inside_m = 0.9;
     // Four strips around the start.
     let strips = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]].map(|[x, y]: [f64; 2]| {
-        let corner = |out: f64, along: f64| [x * out - y * along, y * out + x * along];
-        serde_json::json!([[
-            corner(inside_m, -1.1),
-            corner(1.0, -1.1),
-            corner(1.0, 1.1),
-            corner(inside_m, 1.1)
-        ]])
+        let corners = [(inside_m, -1.1), (1.0, -1.1), (1.0, 1.1), (inside_m, 1.1)]
+            .map(|(out, along): (f64, f64)| [x * out - y * along, y * out + x * along]);
+        serde_json::json!([corners])
     });
     let fence = serde_json::json!({ "type": "MultiPolygon", "coordinates": strips });
     std::fs::write(home.path("fence.geojson"), fence.to_string()).unwrap();
-    let farthest_m = |name: &str| {
-        let poses = ticks(&home.path(name)).into_iter().map(|tick| tick.t_map_base());
-        poses.map(|pose| pose.x_m.abs().max(pose.y_m.abs())).fold(0.0, f64::max)
-    };
     home.explored("free", "400", &[]);
-    assert!(farthest_m("free") > inside_m, "{} m without a fence", farthest_m("free"));
+    let free_m = farthest_m(&home, "free");
+    assert!(free_m > inside_m, "{free_m} m without a fence");
     let path = home.text("fence.geojson");
     home.explored("fenced", "400", &["--keep-out", &path]);
-    assert!(farthest_m("fenced") < inside_m, "{} m with a fence", farthest_m("fenced"));
+    let fenced_m = farthest_m(&home, "fenced");
+    assert!(fenced_m < inside_m, "{fenced_m} m with a fence");
     std::fs::remove_file(&path).unwrap();
     assert!(replayed(&home.text("fenced")).ends_with("mismatches=0\n"));
+}
+
+fn farthest_m(home: &Home, name: &str) -> f64 {
+    let poses = ticks(&home.path(name)).into_iter().map(|tick| tick.t_map_base());
+    poses.map(|pose| pose.x_m.abs().max(pose.y_m.abs())).fold(0.0, f64::max)
 }
 
 #[test]

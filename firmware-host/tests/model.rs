@@ -11,7 +11,7 @@ mod robot;
 use std::path::Path;
 
 use firmware_host::config::Config;
-use firmware_host::model::{Keeper, State, Swap, What};
+use firmware_host::model::{Keeper, Start, State, Swap, What};
 use robot::{CONFIG, Robot, model_file, run};
 
 #[test]
@@ -335,13 +335,12 @@ fn a_model_whose_key_is_not_trusted_any_more_is_not_used_and_comes_back_with_the
     let robot = Robot::new();
     let guess = robot.has("guess");
     let config = Config::load(&robot.path("robot.toml")).unwrap();
-    let start = || Keeper::start(&robot.path("store"), None, &config).unwrap().1;
-    assert_eq!(start().network.unwrap().digest(), guess);
+    assert_eq!(started(&robot, &config).network.unwrap().digest(), guess);
     let keys = std::fs::read(robot.path("trusted_keys")).unwrap();
     let other = signed_model::generate_keys(&robot.path("other_key"), None, "other").unwrap();
     for revoked in [other.as_str(), "# no key\n"] {
         std::fs::write(robot.path("trusted_keys"), revoked).unwrap();
-        assert!(start().network.is_none());
+        assert!(started(&robot, &config).network.is_none());
         let store = robot.text("store");
         let config = robot.text("robot.toml");
         let listed = run(&["model", "list", "--store", &store, "--config", &config]);
@@ -349,7 +348,11 @@ fn a_model_whose_key_is_not_trusted_any_more_is_not_used_and_comes_back_with_the
         assert!(listed.contains("NOT TRUSTED: not used"), "{listed}");
     }
     std::fs::write(robot.path("trusted_keys"), keys).unwrap();
-    assert_eq!(start().network.unwrap().digest(), guess);
+    assert_eq!(started(&robot, &config).network.unwrap().digest(), guess);
+}
+
+fn started(robot: &Robot, config: &Config) -> Start {
+    Keeper::start(&robot.path("store"), None, config).unwrap().1
 }
 
 #[test]

@@ -73,10 +73,9 @@ impl Scene {
             ..LiveOptions::default()
         };
         let world = LiveWorld::start(folder.path(), &options).unwrap();
-        let in_folder = |text: &str| text.replace("{}", folder.path().to_str().unwrap());
         let config = std::fs::read_to_string(world.config()).unwrap();
-        std::fs::write(world.config(), config + &in_folder(more)).unwrap();
-        let args: Vec<String> = args.iter().map(|arg| in_folder(arg)).collect();
+        std::fs::write(world.config(), config + &in_folder(more, folder.path())).unwrap();
+        let args: Vec<String> = args.iter().map(|arg| in_folder(arg, folder.path())).collect();
         let robot = start(&world, folder.path(), "run", &args);
         Self { folder, world, robot }
     }
@@ -133,6 +132,10 @@ impl Scene {
 
     fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
+    }
+
+    fn skipped(&self) -> u64 {
+        self.status().map_or(0, |status| status.exploration.skipped)
     }
 
     fn status(&self) -> Option<Status> {
@@ -204,6 +207,10 @@ impl Scene {
     }
 }
 
+fn in_folder(text: &str, folder: &Path) -> String {
+    text.replace("{}", folder.to_str().unwrap())
+}
+
 fn start(world: &LiveWorld, folder: &Path, out: &str, args: &[String]) -> Child {
     Command::cargo_bin("firmware-host")
         .unwrap()
@@ -231,7 +238,7 @@ impl Board {
         let mut bus = UnixBus::new(hub.to_str().unwrap());
         let now = Arc::clone(&pressed);
         let goes_on = Arc::clone(&running);
-        let work = move || {
+        let thread = Some(std::thread::spawn(move || {
             let mut clock = MonotonicClock;
             let mut counter = 0;
             while goes_on.load(Ordering::Relaxed) {
@@ -241,8 +248,7 @@ impl Board {
                 let _ = bus.send(&SafetyInput { counter, estop, bumper: false }.encode());
                 clock.sleep_until_ns(clock.now_ns() + 20_000_000);
             }
-        };
-        let thread = Some(std::thread::spawn(work));
+        }));
         Self { pressed, running, thread }
     }
 
@@ -394,25 +400,6 @@ fn a_motor_that_broke_down_needs_a_person_and_sigusr1_is_that_person() {
 fn an_order_over_the_live_view_stops_the_robot_until_another_one_arms_it() {
     let mut scene = Scene::with(Protocol::Odrive, "\n[live]\nsocket = \"{}/live.sock\"\n", &[]);
     scene.drives_first();
-    let order = |scene: &Scene, order: &str| {
-        let mut socket = UnixStream::connect(scene.path("live.sock")).unwrap();
-        let line = format!(
-            "{{\"order\":{{\"id\":1,\"who\":\"the test\",\"role\":\"steer\",\"order\":{{\"order\":\"{order}\"}}}}}}\n"
-        );
-        socket.write_all(line.as_bytes()).unwrap();
-        let mut reader = FrameReader::default();
-        loop {
-            let mut piece = [0; 4096];
-            let count = socket.read(&mut piece).unwrap();
-            reader.push(&piece[..count]);
-            while let Some(frame) = reader.next_frame().unwrap() {
-                if let Frame::Answer(answer) = frame {
-                    assert!(answer.accepted, "{answer:?}");
-                    return;
-                }
-            }
-        }
-    };
     order(&scene, "stop");
     scene.state_is("fault: the emergency stop is pressed");
     assert!(scene.way_m() < 0.05, "it brakes within centimetres");
@@ -423,6 +410,26 @@ fn an_order_over_the_live_view_stops_the_robot_until_another_one_arms_it() {
         scene.world.home().score().1 > before_m + 0.1
     });
     scene.ends_well();
+}
+
+fn order(scene: &Scene, order: &str) {
+    let mut socket = UnixStream::connect(scene.path("live.sock")).unwrap();
+    let line = format!(
+        "{{\"order\":{{\"id\":1,\"who\":\"the test\",\"role\":\"steer\",\"order\":{{\"order\":\"{order}\"}}}}}}\n"
+    );
+    socket.write_all(line.as_bytes()).unwrap();
+    let mut reader = FrameReader::default();
+    loop {
+        let mut piece = [0; 4096];
+        let count = socket.read(&mut piece).unwrap();
+        reader.push(&piece[..count]);
+        while let Some(frame) = reader.next_frame().unwrap() {
+            if let Frame::Answer(answer) = frame {
+                assert!(answer.accepted, "{answer:?}");
+                return;
+            }
+        }
+    }
 }
 
 #[test]
@@ -465,27 +472,28 @@ fn the_safety_boards_emergency_stop_wins_and_survives_a_restart_of_the_program()
 fn an_emergency_stop_on_an_input_line_wins_and_its_release_moves_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let line = folder.path().join("line");
-    let set = |level: &str| {
-        // In one step, because the robot reads the file all the time.
-        std::fs::write(line.with_extension("new"), level).unwrap();
-        std::fs::rename(line.with_extension("new"), &line).unwrap();
-    };
-    set("0");
+    set_level(&line, "0");
     let more = format!("\n[devices.emergency_stop]\nchip = \"file:{}\"\n", line.display());
     let mut scene = Scene::with(Protocol::Odrive, &more, &[]);
     scene.drives_first();
-    set("1");
+    set_level(&line, "1");
     scene.needs_person("emergency stop");
     assert!(scene.way_m() < 0.01 && scene.health().1.contains("pressed, or its wire is broken"));
     scene.signal(Signal::USR1);
     assert!(scene.way_m() < 0.01, "a pressed stop cannot be overruled");
-    set("0");
+    set_level(&line, "0");
     scene.stands_until_armed();
     std::fs::remove_file(&line).unwrap();
     scene.needs_person("must contain 0 or 1");
-    set("0");
+    set_level(&line, "0");
     scene.stands_until_armed();
     scene.ends_well();
+}
+
+/// In one step, because the robot reads the file all the time.
+fn set_level(line: &Path, level: &str) {
+    std::fs::write(line.with_extension("new"), level).unwrap();
+    std::fs::rename(line.with_extension("new"), line).unwrap();
 }
 
 #[test]
@@ -510,12 +518,15 @@ fn check_drive_measures_a_robot_in_a_home_and_leaves_its_motors_idle() {
         }
     }
     let written: toml::Table = std::fs::read_to_string(measured).unwrap().parse().unwrap();
-    let metres = |key: &str| written[key].as_float().unwrap();
-    assert!((0.01..0.2).contains(&metres("braking_m")), "{written}");
-    assert!((0.01..0.3).contains(&metres("roll_out_m")), "{written}");
-    assert!(metres("lidar_yaw_deg").abs() < 5.0, "{written}");
+    assert!((0.01..0.2).contains(&number(&written, "braking_m")), "{written}");
+    assert!((0.01..0.3).contains(&number(&written, "roll_out_m")), "{written}");
+    assert!(number(&written, "lidar_yaw_deg").abs() < 5.0, "{written}");
     assert!(world.wheels().iter().all(|node| !node.is_powered()), "the motors are released");
     assert_eq!(world.home().score().0, 0, "it touched something");
+}
+
+fn number(table: &toml::Table, key: &str) -> f64 {
+    table[key].as_float().unwrap()
 }
 
 #[test]
@@ -606,11 +617,10 @@ struct Models {
 impl Models {
     /// Makes a change in the store, and waits until `digest` drives.
     fn swap(&mut self, scene: &Scene, digest: &str, change: impl FnOnce(&mut Store)) {
-        let left_out = || scene.status().map_or(0, |status| status.exploration.skipped);
-        let before = left_out();
+        let before = scene.skipped();
         change(&mut self.store);
         scene.wait("another model", |scene| drives(scene).as_deref() == Some(digest));
-        self.left_out.push(left_out() - before);
+        self.left_out.push(scene.skipped() - before);
     }
 
     fn sign(&self, model: &[u8], name: &str) -> String {
@@ -836,37 +846,40 @@ fn a_robot_that_was_started_by_nohup_goes_on_without_its_terminal() {
 #[test]
 fn a_robot_signs_its_runs_and_a_workstation_accepts_those_of_the_robots_that_it_knows() {
     let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name);
     without_devices(folder.path());
-    let key = path("state/identity.key");
+    let key = folder.path().join("state/identity.key");
     let identity = format!("[identity]\nkey_file = \"{}\"\nname = \"kitchen\"\n", key.display());
-    let config = std::fs::read_to_string(path("robot.toml")).unwrap() + &identity;
-    std::fs::write(path("robot.toml"), config).unwrap();
-    let program = |args: &[&str]| {
-        let mut program = Command::cargo_bin("firmware-host").unwrap();
-        program.args(args);
-        program
-    };
+    let config = std::fs::read_to_string(folder.path().join("robot.toml")).unwrap() + &identity;
+    std::fs::write(folder.path().join("robot.toml"), config).unwrap();
     for _ in 0..2 {
         let mut run = program(&["run", "--config"]);
-        let robot = run.arg(path("robot.toml")).arg("--runs").arg(path("runs"));
+        let robot =
+            run.arg(folder.path().join("robot.toml")).arg("--runs").arg(folder.path().join("runs"));
         let robot = robot.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
         runs_for(folder.path(), 1.0);
         ends(robot);
     }
-    let known = program(&["identity", "--config"]).arg(path("robot.toml")).output().unwrap();
-    std::fs::write(path("robots"), known.stdout).unwrap();
-    std::fs::write(path("others"), format!("{} hall\n", "cd".repeat(32))).unwrap();
-    let verify = |robots: &str| {
-        let mut verify = program(&["buffer", "verify"]);
-        verify.arg(path("runs")).arg("--robots").arg(path(robots));
-        let output = verify.output().unwrap();
-        (output.status.success(), String::from_utf8(output.stdout).unwrap())
-    };
-    let (accepted, said) = verify("robots");
+    let known =
+        program(&["identity", "--config"]).arg(folder.path().join("robot.toml")).output().unwrap();
+    std::fs::write(folder.path().join("robots"), known.stdout).unwrap();
+    std::fs::write(folder.path().join("others"), format!("{} hall\n", "cd".repeat(32))).unwrap();
+    let (accepted, said) = verify(folder.path(), "robots");
     assert!(accepted && said.matches("; signed by kitchen\n").count() == 2, "{said}");
-    let (accepted, said) = verify("others");
+    let (accepted, said) = verify(folder.path(), "others");
     assert!(!accepted && said.contains("not recorded by a known robot: 2 of 2"), "{said}");
+}
+
+fn program(args: &[&str]) -> Command {
+    let mut program = Command::cargo_bin("firmware-host").unwrap();
+    program.args(args);
+    program
+}
+
+fn verify(folder: &Path, robots: &str) -> (bool, String) {
+    let mut verify = program(&["buffer", "verify"]);
+    verify.arg(folder.join("runs")).arg("--robots").arg(folder.join(robots));
+    let output = verify.output().unwrap();
+    (output.status.success(), String::from_utf8(output.stdout).unwrap())
 }
 
 #[test]

@@ -93,7 +93,6 @@ impl Task {
     /// # Errors
     /// A coordinate or a speed that is NaN or infinite.
     pub fn check(self) -> Result<Self, NotFinite> {
-        let are_finite = |numbers: [f64; 2]| numbers.iter().all(|number| number.is_finite());
         match self {
             Self::GoTo { x_m, y_m } if !are_finite([x_m, y_m]) => Err(NotFinite::Place),
             Self::Drive { linear_mps, angular_radps }
@@ -104,4 +103,8 @@ impl Task {
             task => Ok(task),
         }
     }
+}
+
+fn are_finite(numbers: [f64; 2]) -> bool {
+    numbers.iter().all(|number| number.is_finite())
 }

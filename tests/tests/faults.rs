@@ -15,8 +15,9 @@ fn run(policy: PolicyKind, faults: &[&str], ticks: usize) -> Vec<Tick> {
 
 /// The ticks within a span of time.
 fn at(ticks: &[Tick], seconds: std::ops::Range<f64>) -> &[Tick] {
-    let index = |s: f64| ticks.partition_point(|tick| tick.decision.time_ns < (s * 1e9) as u64);
-    &ticks[index(seconds.start)..index(seconds.end)]
+    let [start, end] = [seconds.start, seconds.end]
+        .map(|s| ticks.partition_point(|tick| tick.decision.time_ns < (s * 1e9) as u64));
+    &ticks[start..end]
 }
 
 fn path_m(ticks: &[Tick]) -> f64 {
@@ -242,21 +243,22 @@ fn a_loop_that_is_woken_late_stops_the_robot_and_time_never_goes_back() {
 fn in_minutes_of_random_faults_nothing_is_touched_and_all_repeats_exactly() {
     let mut touched = Vec::new();
     for seed in 1..=6 {
-        let run = |ticks| {
-            let sees_all = LaserModel { misses_materials: false, ..LaserModel::UTM_30LX };
-            let scenario = Scenario::with_laser(PolicyKind::Active, &["random"], seed, sees_all);
-            scenario.unwrap().ticks(ticks).unwrap()
-        };
-        let first = run(600);
+        let first = random_faults(seed, 600);
         if first.iter().any(|tick| tick.contact) {
             touched.push(seed);
         }
         let moved = path_m(&first[300..]) + turned_rad(&first[300..]);
         assert!(moved > 1.0, "seed {seed}: it moved {moved} m and rad in half a minute");
-        let second = run(100);
+        let second = random_faults(seed, 100);
         assert!(first.iter().zip(&second).all(|(a, b)| a.decision == b.decision), "seed {seed}");
     }
     assert!(touched.is_empty(), "touches with the seeds {touched:?}");
+}
+
+fn random_faults(seed: u64, ticks: usize) -> Vec<Tick> {
+    let sees_all = LaserModel { misses_materials: false, ..LaserModel::UTM_30LX };
+    let scenario = Scenario::with_laser(PolicyKind::Active, &["random"], seed, sees_all);
+    scenario.unwrap().ticks(ticks).unwrap()
 }
 
 #[test]
@@ -266,9 +268,9 @@ fn every_policy_moves_without_contact_and_repeats_exactly() {
         let second = run(policy, &[], 80);
         assert!(path_m(&first) + turned_rad(&first) > 0.5, "{policy:?}");
         assert!(first.iter().all(|tick| !tick.contact), "{policy:?} touched something");
-        let decisions =
-            |ticks: &[Tick]| ticks.iter().map(|tick| tick.decision.clone()).collect::<Vec<_>>();
-        assert_eq!(decisions(&first), decisions(&second), "{policy:?}");
+        let [first_decisions, second_decisions] = [&first, &second]
+            .map(|ticks| ticks.iter().map(|tick| &tick.decision).collect::<Vec<_>>());
+        assert_eq!(first_decisions, second_decisions, "{policy:?}");
         let last: Pose2 = first[79].pose;
         assert!(last.is_finite());
     }

@@ -1,11 +1,12 @@
 //! `firmware-host init` as a new user runs it, against the devices of `hil world`.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its fixture has failed")]
 
+use std::ffi::CStr;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Output};
 
 use drivers::can::Protocol;
 use hal::{CameraModel, Clock};
@@ -72,10 +73,8 @@ fn on_a_terminal(mut command: Command, lines: &str) -> (Option<i32>, String) {
     grantpt(&master).unwrap();
     unlockpt(&master).unwrap();
     let name = ptsname(&master, Vec::new()).unwrap();
-    let terminal =
-        || -> OwnedFd { open(&name, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap() };
-    command.stdin(Stdio::from(terminal())).stdout(Stdio::from(terminal()));
-    command.stderr(Stdio::from(terminal())).env("COLUMNS", "60");
+    command.stdin(terminal(&name)).stdout(terminal(&name));
+    command.stderr(terminal(&name)).env("COLUMNS", "60");
     let mut child = command.spawn().unwrap();
     // The child alone keeps the terminal open now, so that reading ends with it.
     drop(command);
@@ -87,6 +86,10 @@ fn on_a_terminal(mut command: Command, lines: &str) -> (Option<i32>, String) {
     _ = master.read_to_end(&mut shown);
     let code = child.wait().unwrap().code();
     (code, String::from_utf8_lossy(&shown).into_owned())
+}
+
+fn terminal(name: &CStr) -> OwnedFd {
+    open(name, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap()
 }
 
 #[test]

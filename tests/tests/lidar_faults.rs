@@ -38,6 +38,16 @@ fn bench_with(
     Bench::new(device, lidar, monitor, folder)
 }
 
+/// Counts five good scans in a row before it returns one.
+fn counting_bench(source: &Counting) -> HokuyoBench {
+    bench_with(
+        Model::Utm30lx,
+        Box::new(source.clone()),
+        |config| HokuyoConfig { good_scans: 5, ..config },
+        |_| {},
+    )
+}
+
 /// All ranges of a scan are equal and count the scans: 1001 mm for the first.
 #[derive(Clone, Default)]
 struct Counting {
@@ -169,8 +179,7 @@ fn a_scanner_that_is_plugged_in_later_is_found() {
 #[test]
 fn after_each_reconnect_the_configured_number_of_good_scans_precedes_the_first_returned_one() {
     let source = Counting::default();
-    let configure = |config| HokuyoConfig { good_scans: 5, ..config };
-    let mut bench = bench_with(Model::Utm30lx, Box::new(source.clone()), configure, |_| {});
+    let mut bench = counting_bench(&source);
     bench.until_scan();
     assert!(count_of(&bench.scan) >= 5);
     bench.device.unplug();
@@ -184,29 +193,34 @@ fn after_each_reconnect_the_configured_number_of_good_scans_precedes_the_first_r
 #[test]
 fn after_a_silence_or_a_cover_the_good_scans_in_a_row_are_counted_again() {
     let source = Counting::default();
-    let configure = |config| HokuyoConfig { good_scans: 5, ..config };
-    let mut bench = bench_with(Model::Utm30lx, Box::new(source.clone()), configure, |_| {});
-    let counts_again = |bench: &mut HokuyoBench, ends: &dyn Fn(&SimulatedHokuyo)| {
-        let before = source.scans.load(Ordering::SeqCst);
-        ends(&bench.device);
-        bench.until_scan();
-        let first = count_of(&bench.scan);
-        assert!(first >= before + 5, "scan {first} after {before}");
-    };
+    let mut bench = counting_bench(&source);
     bench.until_scan();
     bench.device.set_wire(WireFaults { is_stalled: true, ..WireFaults::default() });
     bench.until_error(ErrorKind::Timeout);
-    counts_again(&mut bench, &|device| device.set_wire(WireFaults::default()));
+    let before = source.scans.load(Ordering::SeqCst);
+    bench.device.set_wire(WireFaults::default());
+    counts_again(before, &mut bench);
     bench.device.set_health(Health::Blind);
     bench.until_error(ErrorKind::Fault);
-    counts_again(&mut bench, &|device| device.set_health(Health::Well));
+    let before = source.scans.load(Ordering::SeqCst);
+    bench.device.set_health(Health::Well);
+    counts_again(before, &mut bench);
+}
+
+fn counts_again(before: u32, bench: &mut HokuyoBench) {
+    bench.until_scan();
+    let first = count_of(&bench.scan);
+    assert!(first >= before + 5, "scan {first} after {before}");
 }
 
 #[test]
 fn good_scans_with_bad_ones_between_them_are_not_good_scans_in_a_row() {
-    let configure = |config| HokuyoConfig { good_scans: 100, ..config };
-    let room = Box::new(Room::new(Model::Utm30lx));
-    let mut bench = bench_with(Model::Utm30lx, room, configure, |_| {});
+    let mut bench = bench_with(
+        Model::Utm30lx,
+        Box::new(Room::new(Model::Utm30lx)),
+        |config| HokuyoConfig { good_scans: 100, ..config },
+        |_| {},
+    );
     let monitor = bench.monitor.clone();
     bench.until("the first good scan", |_| monitor.status().good > 0);
     // Of 100 scans in a row, one is damaged almost surely.
@@ -243,9 +257,12 @@ fn single_wrong_time_stamps_are_bad_scans_and_the_scanner_is_not_set_up_again() 
 
 #[test]
 fn a_laser_that_cannot_be_switched_on_is_a_hardware_fault() {
-    let room = Box::new(Room::new(Model::Utm30lx));
-    let broken = |device: &SimulatedHokuyo| device.set_health(Health::LaserBroken);
-    let mut bench = bench_with(Model::Utm30lx, room, |config| config, broken);
+    let mut bench = bench_with(
+        Model::Utm30lx,
+        Box::new(Room::new(Model::Utm30lx)),
+        |config| config,
+        |device| device.set_health(Health::LaserBroken),
+    );
     let problem = bench.until_problem("hardware fault, status 01");
     assert!(problem.contains("Laser malfunction"), "{problem}");
     assert_eq!(bench.poll().unwrap_err().kind(), ErrorKind::Fault);
@@ -300,16 +317,23 @@ fn a_wrong_baud_rate_is_named() {
 #[test]
 fn the_right_baud_rate_is_set_on_the_port() {
     let model = Model::Utm30lx;
-    let configure = |config| HokuyoConfig { baud: 750_000, ..config };
-    bench_with(model, Box::new(Room::new(model)), configure, |device| device.set_baud(750_000))
-        .until_scan();
+    let mut bench = bench_with(
+        model,
+        Box::new(Room::new(model)),
+        |config| HokuyoConfig { baud: 750_000, ..config },
+        |device| device.set_baud(750_000),
+    );
+    bench.until_scan();
 }
 
 #[test]
 fn another_model_than_configured_is_refused_by_name() {
-    let configure = |config| HokuyoConfig { model: Model::Utm30lx, ..config };
-    let mut bench =
-        bench_with(Model::Urg04lx, Box::new(Room::new(Model::Urg04lx)), configure, |_| {});
+    let mut bench = bench_with(
+        Model::Urg04lx,
+        Box::new(Room::new(Model::Urg04lx)),
+        |config| HokuyoConfig { model: Model::Utm30lx, ..config },
+        |_| {},
+    );
     let problem = bench.until_problem("URG-04LX");
     assert!(problem.contains("configured is UTM-30LX"), "{problem}");
     assert_eq!(bench.poll().unwrap_err().kind(), ErrorKind::Fault);
@@ -345,8 +369,12 @@ fn beams_of_an_upside_down_scanner_are_mirrored() {
     }
     for model in [Model::Utm30lx, Model::Urg04lx] {
         let upright = model.geometry(false);
-        let configure = |config| HokuyoConfig { upside_down: true, ..config };
-        let mut bench = bench_with(model, Box::new(OneSide), configure, |_| {});
+        let mut bench = bench_with(
+            model,
+            Box::new(OneSide),
+            |config| HokuyoConfig { upside_down: true, ..config },
+            |_| {},
+        );
         bench.until_scan();
         for (angle_rad, distance_m) in bench.scan.hits() {
             let step = ((-angle_rad - upright.angle_min_rad) / upright.angle_increment_rad).round();
@@ -362,8 +390,12 @@ fn beams_of_an_upside_down_scanner_are_mirrored() {
 #[test]
 fn scans_are_stamped_with_their_begin_although_the_clocks_differ() {
     let source = Counting::default();
-    let fast = |device: &SimulatedHokuyo| device.set_clock_ppm(400.0);
-    let mut bench = bench_with(Model::Utm30lx, Box::new(source.clone()), |config| config, fast);
+    let mut bench = bench_with(
+        Model::Utm30lx,
+        Box::new(source.clone()),
+        |config| config,
+        |device| device.set_clock_ppm(400.0),
+    );
     let mut worst_ns = Vec::new();
     for _ in 0..120 {
         bench.until_scan();

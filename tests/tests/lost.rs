@@ -19,8 +19,8 @@ fn explore(scenario: &mut Scenario) -> (Pose2, Vec<Pose2>) {
 /// The earlier place that is furthest away, with another heading.
 fn elsewhere(poses: &[Pose2]) -> Pose2 {
     let here = poses[poses.len() - 1];
-    let far = |pose: &&Pose2| pose.distance_m(&here);
-    let pose = poses.iter().max_by(|a, b| far(a).total_cmp(&far(b))).unwrap();
+    let farthest = poses.iter().max_by(|a, b| a.distance_m(&here).total_cmp(&b.distance_m(&here)));
+    let pose = farthest.unwrap();
     Pose2 { yaw_rad: wrap_angle(pose.yaw_rad + 2.0), ..*pose }
 }
 

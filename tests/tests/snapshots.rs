@@ -52,13 +52,17 @@ fn the_snapshot_of_a_successor_is_the_snapshot_it_came_from() {
 fn a_cut_snapshot_is_refused_wherever_it_is_cut_and_so_is_one_that_is_too_long() {
     let scenario = explored();
     let mut bytes = scenario.robot().snapshot();
-    let fresh = || Robot::new(scenario.robot().config().clone(), None).unwrap();
     for len in (0..100).chain((100..bytes.len()).step_by(bytes.len() / 50)) {
-        let refusal = fresh().restore(&bytes[..len]).unwrap_err();
+        let refusal = fresh(&scenario).restore(&bytes[..len]).unwrap_err();
         assert!(matches!(refusal, SnapshotError::Damaged(_)), "{len}: {refusal}");
     }
     bytes.push(0);
-    assert!(matches!(fresh().restore(&bytes), Err(SnapshotError::Damaged(_))));
+    assert!(matches!(fresh(&scenario).restore(&bytes), Err(SnapshotError::Damaged(_))));
+}
+
+/// A robot of the same configuration that has not driven yet.
+fn fresh(scenario: &Scenario) -> Robot {
+    Robot::new(scenario.robot().config().clone(), None).unwrap()
 }
 
 #[test]
@@ -68,7 +72,7 @@ fn flipped_bits_are_refused_or_change_numbers_but_never_end_the_program() {
     for at in (0..400).chain((400..bytes.len()).step_by(bytes.len() / 100)) {
         let mut damaged = bytes.clone();
         damaged[at] ^= 1 << (at % 8);
-        let _ = Robot::new(scenario.robot().config().clone(), None).unwrap().restore(&damaged);
+        let _ = fresh(&scenario).restore(&damaged);
     }
 }
 

@@ -71,19 +71,26 @@ pub fn steps(
     has_nextest: bool,
     ci: bool,
 ) -> Vec<Step> {
-    let run = |needing: &Needing| {
-        if !(needing.is_there)() {
-            if ci && needing.is_in_ci {
-                eprintln!("{}: {}", needing.step, needing.missing);
-                return (Outcome::Failed, 0.0);
-            }
-            return (Outcome::Skipped(needing.missing), 0.0);
+    ALL.iter().map(|needing| (needing.step, run(needing, cargo, tested, has_nextest, ci))).collect()
+}
+
+fn run(
+    needing: &Needing,
+    cargo: &dyn Fn(&str) -> Command,
+    tested: &str,
+    has_nextest: bool,
+    ci: bool,
+) -> (Outcome, f64) {
+    if !(needing.is_there)() {
+        if ci && needing.is_in_ci {
+            eprintln!("{}: {}", needing.step, needing.missing);
+            return (Outcome::Failed, 0.0);
         }
-        let Needing { filter, name, .. } = needing;
-        step(&mut cargo(&match has_nextest {
-            true => format!("nextest run {tested} --run-ignored only -E {filter}"),
-            false => format!("test {tested} --tests -- --ignored {name} --skip screenshots"),
-        }))
-    };
-    ALL.iter().map(|needing| (needing.step, run(needing))).collect()
+        return (Outcome::Skipped(needing.missing), 0.0);
+    }
+    let Needing { filter, name, .. } = needing;
+    step(&mut cargo(&match has_nextest {
+        true => format!("nextest run {tested} --run-ignored only -E {filter}"),
+        false => format!("test {tested} --tests -- --ignored {name} --skip screenshots"),
+    }))
 }

@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use serde_json::Value;
 
 use crate::demo;
-use crate::explore::{self, Exploration};
+use crate::explore::{self, Exploration, figure};
 use crate::paths;
 use crate::tables::{self, Table};
 
@@ -48,8 +48,7 @@ pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<(
     let wheels = configuration(&dir, "wheels", "[localization]\nsource = \"wheels\"\n")?;
     let noisy = configuration(&dir, "noisy", NOISY)?;
     let network = paths::root().join(demo::MODEL).display().to_string();
-    let length =
-        |seed: u64| ["--frames".into(), frames.to_string(), "--seed".into(), seed.to_string()];
+    let frames = frames.to_string();
     let mut labels = Vec::new();
     let mut explorations = Vec::new();
     for seed in 1..=seeds {
@@ -59,7 +58,8 @@ pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<(
             for (row, folder) in ROWS {
                 let mut arguments =
                     ["--scene", &scene, "--policy", "active"].map(String::from).to_vec();
-                arguments.extend(length(seed));
+                let length = ["--frames", &frames, "--seed", &seed.to_string()];
+                arguments.extend(length.map(String::from));
                 arguments.extend(match folder {
                     "network" => vec!["--model".to_owned(), network.clone()],
                     "wheels" => vec!["--config".to_owned(), wheels.clone()],
@@ -109,27 +109,23 @@ fn name(file: &str) -> String {
 
 /// The cells of a run behind home, seed and poses.
 fn results(summary: &Value) -> [String; 8] {
-    let number = |path: &str| summary.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN);
     // The depth that the map uses.
     let depth = summary["depth_source"].as_str().unwrap_or("coarse");
-    let of_depth = |figure: &str| number(&format!("/accuracy/{depth}/{figure}"));
+    let [all, confident, right] = ["all/delta1_unscaled", "confident/delta1_unscaled", "all/right"]
+        .map(|name| figure(summary, &format!("/accuracy/{depth}/{name}")));
     [
-        format!(
-            "{:.3} / {:.3}",
-            of_depth("all/delta1_unscaled"),
-            of_depth("confident/delta1_unscaled")
-        ),
-        format!("{:.3}", of_depth("all/right")),
-        format!("{:.3}", number("/accuracy/constant/all/right")),
-        format!("{:.1} %", 100.0 * number("/coverage_true")),
+        format!("{all:.3} / {confident:.3}"),
+        format!("{right:.3}"),
+        format!("{:.3}", figure(summary, "/accuracy/constant/all/right")),
+        format!("{:.1} %", 100.0 * figure(summary, "/coverage_true")),
         format!(
             "{:.1} / {:.1}",
-            100.0 * number("/map_error_m/p50"),
-            100.0 * number("/map_error_m/p90")
+            100.0 * figure(summary, "/map_error_m/p50"),
+            100.0 * figure(summary, "/map_error_m/p90")
         ),
-        format!("{:.1} %", 100.0 * number("/map_off10")),
-        format!("{:.1}", number("/pose_error/yaw_end_deg")),
-        format!("{}", number("/collisions")),
+        format!("{:.1} %", 100.0 * figure(summary, "/map_off10")),
+        format!("{:.1}", figure(summary, "/pose_error/yaw_end_deg")),
+        format!("{}", figure(summary, "/collisions")),
     ]
 }
 

@@ -4,7 +4,7 @@ use anyhow::Result;
 use serde_json::Value;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use crate::explore::{self, Exploration};
+use crate::explore::{self, Exploration, figure};
 use crate::paths;
 use crate::tables::{self, Table};
 
@@ -66,22 +66,24 @@ fn means(summaries: &[Value]) -> Table {
     for (at, policy) in POLICIES.into_iter().enumerate() {
         // Every home and seed has one run of each policy, in this order.
         let summaries: Vec<&Value> = summaries.iter().skip(at).step_by(POLICIES.len()).collect();
-        let all = |key: &str| -> Vec<f64> {
-            summaries.iter().map(|summary| summary[key].as_f64().unwrap_or(f64::NAN)).collect()
-        };
-        let percent = |key: &str| {
-            let (mean, half) = interval(&all(key));
-            format!("{:.0} % +- {:.0}", 100.0 * mean, 100.0 * half)
-        };
-        let collisions: f64 = all("collisions").iter().sum();
+        let collisions: f64 = figures(&summaries, "/collisions").iter().sum();
         table.push(vec![
             policy.to_owned(),
-            percent("coverage"),
-            percent("coverage_true"),
+            percent(&figures(&summaries, "/coverage")),
+            percent(&figures(&summaries, "/coverage_true")),
             format!("{collisions:.0} in {} runs", summaries.len()),
         ]);
     }
     table
+}
+
+fn figures(summaries: &[&Value], path: &str) -> Vec<f64> {
+    summaries.iter().map(|summary| figure(summary, path)).collect()
+}
+
+fn percent(shares: &[f64]) -> String {
+    let (mean, half) = interval(shares);
+    format!("{:.0} % +- {:.0}", 100.0 * mean, 100.0 * half)
 }
 
 /// The mean and half the width of its 95 % interval, by Student's t over the runs.
@@ -95,9 +97,9 @@ fn interval(values: &[f64]) -> (f64, f64) {
 
 /// The cells of a run behind home, seed and policy.
 fn results(summary: &Value) -> [String; 6] {
-    let coverage = summary["coverage"].as_f64().unwrap_or(f64::NAN);
-    let right = summary["coverage_true"].as_f64().unwrap_or(f64::NAN);
-    let path_m = summary["path_m"].as_f64().unwrap_or(f64::NAN);
+    let coverage = figure(summary, "/coverage");
+    let right = figure(summary, "/coverage_true");
+    let path_m = figure(summary, "/path_m");
     [
         format!("{:.0} %", 100.0 * coverage),
         format!("{:.0} %", 100.0 * right),

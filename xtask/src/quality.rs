@@ -7,6 +7,7 @@ use std::process::Child;
 use anyhow::{Context, Result, ensure};
 use serde_json::{Value, json};
 
+use crate::explore::figure;
 use crate::{command, paths};
 
 /// The homes, and how much of the floor must be mapped at its true place. No default was tuned on homes with seeds from 11 on.
@@ -134,16 +135,15 @@ fn print_table(figures: &[Value]) {
         "home", "right", "confident", "dense", "mapped", "off10", "p90 m", "touches"
     );
     for home in figures {
-        let number = |key: &str| home[key].as_f64().unwrap_or(f64::NAN);
         println!(
             "{:<40} {:>7.3} {:>9.3} {:>7.3} {:>8.3} {:>6.3} {:>7.3} {:>7}",
             home["scene"].as_str().unwrap_or_default(),
-            number("right_of_all"),
-            number("confident_unscaled"),
-            number("dense_right_of_all"),
-            number("coverage_true"),
-            number("map_off10"),
-            number("map_error_p90_m"),
+            figure(home, "/right_of_all"),
+            figure(home, "/confident_unscaled"),
+            figure(home, "/dense_right_of_all"),
+            figure(home, "/coverage_true"),
+            figure(home, "/map_off10"),
+            figure(home, "/map_error_p90_m"),
             home["collisions"],
         );
     }

@@ -10,6 +10,8 @@
 //!
 //! <!-- end of table -->
 //! ```
+//!
+//! A cell can quote cells of other tables, as those of the README do (see [`quotation`]).
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -18,6 +20,8 @@ use anyhow::{Context, Result, ensure};
 use serde_json::Value;
 
 use crate::paths;
+
+mod quotation;
 
 const START: &str = "<!-- table ";
 const START_END: &str = " -->\n";
@@ -74,9 +78,34 @@ impl Table {
         Ok(Self { columns, rows: rows.iter().map(texts).collect::<Result<_>>()? })
     }
 
+    /// The same table, with the cells that its cells quote.
+    fn with_quotations(mut self) -> Result<Self> {
+        for cell in self.rows.iter_mut().flatten() {
+            *cell = quotation::resolve(cell)?;
+        }
+        Ok(self)
+    }
+
+    /// The cell of a column in the only row that has all of these cells.
+    fn cell(&self, row: &[&str], column: &str) -> Result<&str> {
+        let index = self
+            .columns
+            .iter()
+            .position(|name| name == column)
+            .with_context(|| format!("no column `{column}` in {:?}", self.columns))?;
+        let mut found = self.rows.iter().filter(|cells| has_all(cells, row));
+        let cells = found.next().with_context(|| format!("no row has the cells {row:?}"))?;
+        ensure!(found.next().is_none(), "several rows have the cells {row:?}");
+        Ok(&cells[index])
+    }
+
     fn to_json(&self) -> Value {
         serde_json::json!({ "columns": self.columns, "rows": self.rows })
     }
+}
+
+fn has_all(cells: &[String], wanted: &[&str]) -> bool {
+    wanted.iter().all(|text| cells.iter().any(|cell| cell == text))
 }
 
 fn texts(value: &Value) -> Result<Vec<String>> {
@@ -116,10 +145,8 @@ pub fn update(file: &str, name: &str, made_by: &str, table: &Table) -> Result<()
 /// # Errors
 /// As [`update`].
 pub fn update_all(file: &str, made_by: &str, tables: &[(&str, &Table)]) -> Result<()> {
-    let path = paths::root().join("docs/data").join(format!("{file}.json"));
-    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
-    let mut data: Value =
-        serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+    let path = data_path(file);
+    let mut data = data_file(file)?;
     for (name, table) in tables {
         let mut entry = table.to_json();
         entry["made_by"] = made_by.into();
@@ -132,6 +159,16 @@ pub fn update_all(file: &str, made_by: &str, tables: &[(&str, &Table)]) -> Resul
     Ok(())
 }
 
+fn data_path(file: &str) -> PathBuf {
+    paths::root().join("docs/data").join(format!("{file}.json"))
+}
+
+fn data_file(file: &str) -> Result<Value> {
+    let path = data_path(file);
+    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    serde_json::from_str(&text).with_context(|| path.display().to_string())
+}
+
 /// Which build measured: the commit, and whether the checkout differed from it.
 fn commit() -> Result<String> {
     let mut git = crate::command::program("git");
@@ -139,7 +176,11 @@ fn commit() -> Result<String> {
     Ok(format!("by the build of commit {}", name.trim()))
 }
 
-fn write_documents() -> Result<()> {
+/// Writes the tables of all documents as the data files say.
+///
+/// # Errors
+/// When a file cannot be read or written, or a marker has no table.
+pub fn write_documents() -> Result<()> {
     for path in documents()? {
         let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
         let new = with_tables(&text, &path)?;
@@ -150,9 +191,9 @@ fn write_documents() -> Result<()> {
     Ok(())
 }
 
-/// The Markdown files in `docs`.
+/// The README and the Markdown files in `docs`.
 fn documents() -> Result<Vec<PathBuf>> {
-    let mut found = Vec::new();
+    let mut found = vec![paths::root().join("README.md")];
     for entry in std::fs::read_dir(paths::root().join("docs"))? {
         found.push(entry?.path());
     }
@@ -179,6 +220,7 @@ fn with_tables(text: &str, path: &Path) -> Result<String> {
             files.insert(file, serde_json::from_str::<Value>(&text).context(file.to_owned())?);
         }
         let table = Table::from_json(&files[file][name])
+            .and_then(Table::with_quotations)
             .with_context(|| format!("the table {name} of {file}"))?;
         new += &format!("{START}{marker}{START_END}\n{}\n{END}{rest}", table.markdown());
     }
@@ -196,7 +238,11 @@ mod tests {
             let text = std::fs::read_to_string(&path).unwrap();
             tables += text.matches(START).count();
             let expected = with_tables(&text, &path).unwrap();
-            assert!(text == expected, "{} differs from its data files", path.display());
+            assert!(
+                text == expected,
+                "{} differs from its data files: `cargo xtask tables` writes it",
+                path.display()
+            );
         }
         assert!(tables >= 3, "only {tables} tables have data files");
     }
@@ -209,8 +255,7 @@ mod tests {
             .map(|path| std::fs::read_to_string(path).unwrap())
             .collect();
         for file in ["policies", "accuracy", "bench", "calibration", "localization", "shards"] {
-            let path = paths::root().join(format!("docs/data/{file}.json"));
-            let data: Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+            let data = data_file(file).unwrap();
             for (name, table) in data.as_object().unwrap() {
                 let marker = format!("{START}{name} of data/{file}.json{START_END}");
                 assert!(documents.iter().any(|text| text.contains(&marker)), "{marker}");

@@ -138,13 +138,10 @@ pub fn run(all: bool) -> Result<()> {
 /// Runs the tests in real time, and beside them the others.
 fn tests(cargo: &dyn Fn(&str) -> Command, ci: bool) -> Result<[Step; 2]> {
     let [profile, real_time_profile] = if ci { ["ci", "ci-real-time"] } else { ["default"; 2] };
-    let run = |profile, filter: String| {
-        let mut tests = cargo(&format!("nextest run {TESTED} --profile {profile} -E"));
-        tests.arg(filter);
-        tests
-    };
-    let real_time = run(real_time_profile, real_time::FILTER.to_owned());
-    let others = run(profile, format!("not ({})", real_time::FILTER));
+    let mut real_time = cargo(&format!("nextest run {TESTED} --profile {real_time_profile} -E"));
+    real_time.arg(real_time::FILTER);
+    let mut others = cargo(&format!("nextest run {TESTED} --profile {profile} -E"));
+    others.arg(format!("not ({})", real_time::FILTER));
     let [real_time, others] = real_time::run_beside(real_time, &others)?;
     Ok([("tests in real time", real_time), ("other tests", others)])
 }
@@ -236,22 +233,23 @@ fn trainer_steps(install: bool) -> Result<Vec<Step>> {
     let processes = trainer::test_processes();
     let pytest =
         format!("pytest --quiet --numprocesses {processes} --dist loadgroup --durations 15");
-    let module = |arguments: &str| {
-        let mut module = command::program(&python);
-        module
-            .current_dir(paths::root().join("tools/trainer"))
-            // One thread in each process of the tests, because there is a process for each processor.
-            .env("OMP_NUM_THREADS", "1")
-            .arg("-m")
-            .args(arguments.split_whitespace());
-        step(&mut module)
-    };
     Ok(vec![
-        ("trainer: format", module("ruff format --check .")),
-        ("trainer: lints", module("ruff check .")),
-        ("trainer: types", module("mypy")),
-        ("trainer: tests", module(&pytest)),
+        ("trainer: format", module("ruff format --check .", &python)),
+        ("trainer: lints", module("ruff check .", &python)),
+        ("trainer: types", module("mypy", &python)),
+        ("trainer: tests", module(&pytest, &python)),
     ])
+}
+
+fn module(arguments: &str, python: &Path) -> (Outcome, f64) {
+    let mut module = command::program(python);
+    module
+        .current_dir(paths::root().join("tools/trainer"))
+        // One thread in each process of the tests, because there is a process for each processor.
+        .env("OMP_NUM_THREADS", "1")
+        .arg("-m")
+        .args(arguments.split_whitespace());
+    step(&mut module)
 }
 
 pub fn step(command: &mut Command) -> (Outcome, f64) {

@@ -98,8 +98,10 @@ mod tests {
         line.match_indices(word).any(|(at, _)| {
             let before = line[..at].chars().next_back();
             let after = line[at + word.len()..].chars().next();
-            let apart = |c: Option<char>| c.is_none_or(|c| !c.is_alphanumeric() && c != '_');
-            apart(before) && apart(after)
+            [before, after]
+                .into_iter()
+                .flatten()
+                .all(|beside| !beside.is_alphanumeric() && beside != '_')
         })
     }
 

@@ -125,13 +125,15 @@ fn best_view(home: &Home, index: usize, room: &Room, renderer: &Renderer) -> Pos
     let [w, d] = room.rect.size();
     let mut best = (0.0, pose(room.rect.center().map(f64::from), 0.0));
     for i in 0..96 {
-        let share = |k: f32| (0.5 + k * i as f32).fract();
-        let at = [x0 + w * (0.1 + 0.8 * share(0.618)), y0 + d * (0.1 + 0.8 * share(0.755))];
+        let at = [
+            x0 + w * (0.1 + 0.8 * quasi_random(0.618, i)),
+            y0 + d * (0.1 + 0.8 * quasi_random(0.755, i)),
+        ];
         if home.furniture.iter().any(|f| f.room == index && f.rect.distance_m(at) < 0.3) {
             continue;
         }
         let at = at.map(f64::from);
-        let yaw = std::f64::consts::TAU * f64::from(share(0.37));
+        let yaw = std::f64::consts::TAU * f64::from(quasi_random(0.37, i));
         let score: f64 = (-4..=4)
             .map(|k| {
                 let a = yaw + 0.17 * f64::from(k);
@@ -144,6 +146,10 @@ fn best_view(home: &Home, index: usize, room: &Room, renderer: &Renderer) -> Pos
         }
     }
     best.1
+}
+
+fn quasi_random(step: f32, i: i32) -> f32 {
+    (0.5 + step * i as f32).fract()
 }
 
 fn views(home: &Home, path: &Path) -> Result<(), Box<dyn Error>> {
@@ -285,13 +291,15 @@ fn deviation_from_plane(values: &[f64], width: usize) -> f64 {
         .map(|(i, v)| v * offset_from_center(i, width, middle).1)
         .sum::<f64>()
         / spread;
-    let rest = |(i, v): (usize, &f64)| {
-        (v - mean
-            - slope_x * offset_from_center(i, width, middle).0
-            - slope_y * offset_from_center(i, width, middle).1)
-            .powi(2)
-    };
-    (values.iter().enumerate().map(rest).sum::<f64>() / n).sqrt()
+    let rest: f64 = values
+        .iter()
+        .enumerate()
+        .map(|(i, v)| {
+            let (x, y) = offset_from_center(i, width, middle);
+            (v - mean - slope_x * x - slope_y * y).powi(2)
+        })
+        .sum();
+    (rest / n).sqrt()
 }
 
 fn offset_from_center(i: usize, width: usize, middle: f64) -> (f64, f64) {

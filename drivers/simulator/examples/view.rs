@@ -30,8 +30,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         &mut pixels,
         &mut depth,
     );
-    let brightness =
-        |depth_m: f32| if depth_m > 0.0 { (255.0 / (1.0 + 0.5 * depth_m)) as u8 } else { 0 };
     pixels.extend(depth.values().iter().flat_map(|d| [brightness(*d); 3]));
     let width = camera.width as u32;
     let height = 2 * camera.height as u32;
@@ -45,4 +43,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         pose.yaw_rad.to_degrees()
     );
     Ok(())
+}
+
+fn brightness(depth_m: f32) -> u8 {
+    if depth_m > 0.0 { (255.0 / (1.0 + 0.5 * depth_m)) as u8 } else { 0 }
 }

@@ -237,10 +237,10 @@ mod tests {
     /// A room of 5 by 4 m, and in it a wall of another material at x = 3.
     fn divided(lidar: LidarResponse) -> Renderer {
         let mut triangles = room([5.0, 4.0, 2.5], 0);
-        let corner = |y: f32, z: f32| Vertex { position_m: [3.0, y, z], ..Vertex::default() };
         for corners in [[(0.0, 0.0), (4.0, 0.0), (4.0, 2.5)], [(0.0, 0.0), (4.0, 2.5), (0.0, 2.5)]]
         {
-            let vertices = corners.map(|(y, z)| corner(y, z));
+            let vertices =
+                corners.map(|(y, z)| Vertex { position_m: [3.0, y, z], ..Vertex::default() });
             triangles.push(Triangle { vertices, material: 1 });
         }
         let materials = vec![plain([0.5; 3]), Material { lidar, ..plain([0.5; 3]) }];
@@ -255,18 +255,21 @@ mod tests {
     #[test]
     fn a_beam_passes_glass_and_is_lost_on_lacquer_except_from_the_perpendicular() {
         let model = LaserModel { misses_materials: true, ..LaserModel::IDEAL };
-        let near = |range: Range, metres: f32| (range.hit_m().unwrap() - metres).abs() < 0.01;
         let [ahead, aside] = ahead_and_aside(LidarResponse::Diffuse, &model);
-        assert!(near(ahead, 2.0) && near(aside, 2.0 / 0.3_f32.cos()));
+        assert!(is_near(ahead, 2.0) && is_near(aside, 2.0 / 0.3_f32.cos()));
         let [ahead, aside] = ahead_and_aside(LidarResponse::Glass, &model);
-        assert!(near(ahead, 4.0) && near(aside, 4.0 / 0.3_f32.cos()), "{ahead:?} {aside:?}");
+        assert!(is_near(ahead, 4.0) && is_near(aside, 4.0 / 0.3_f32.cos()), "{ahead:?} {aside:?}");
         let [ahead, aside] = ahead_and_aside(LidarResponse::Absorbing, &model);
-        assert!(near(ahead, 2.0) && aside == Range::NoReturn, "{ahead:?} {aside:?}");
+        assert!(is_near(ahead, 2.0) && aside == Range::NoReturn, "{ahead:?} {aside:?}");
         // Without this property the scanner sees what the camera sees.
         for lidar in [LidarResponse::Glass, LidarResponse::Absorbing] {
             let [ahead, aside] = ahead_and_aside(lidar, &LaserModel::IDEAL);
-            assert!(near(ahead, 2.0) && near(aside, 2.0 / 0.3_f32.cos()));
+            assert!(is_near(ahead, 2.0) && is_near(aside, 2.0 / 0.3_f32.cos()));
         }
+    }
+
+    fn is_near(range: Range, expected_m: f32) -> bool {
+        (range.hit_m().unwrap() - expected_m).abs() < 0.01
     }
 
     fn is_lost(angle_rad: f64, scan: &LaserScan) -> bool {
@@ -305,13 +308,23 @@ mod tests {
         let renderer = hall([8.0, 6.0, 2.6], 0.5);
         let model = LaserModel::IDEAL;
         let radps = 2.0;
-        let yaw = |beam| radps * (beam_after_ns(&model.geometry, beam) as f64 * 1e-9 - 0.0125);
-        let pose = |yaw| Pose2::new(3.0, 2.0, yaw).to_pose3() * Pose3::translation(0.0, 0.0, 0.3);
+        let yaws: Vec<f64> = (0..model.geometry.beams)
+            .map(|beam| radps * (beam_after_ns(&model.geometry, beam) as f64 * 1e-9 - 0.0125))
+            .collect();
         let mut out = LaserScan::empty(model.geometry);
         let mut rng = Pcg64Mcg::seed_from_u64(0);
-        scan(&renderer, |beam| pose(yaw(beam)), &[], &model, &mut rng, 7, &mut out);
+        let t_base_laser = Pose3::translation(0.0, 0.0, 0.3);
+        scan(
+            &renderer,
+            |beam| Pose2::new(3.0, 2.0, yaws[beam]).to_pose3() * t_base_laser,
+            &[],
+            &model,
+            &mut rng,
+            7,
+            &mut out,
+        );
         for (beam, range) in out.ranges.iter().enumerate() {
-            let (sin, cos) = (out.geometry.angle_rad(beam) + yaw(beam)).sin_cos();
+            let (sin, cos) = (out.geometry.angle_rad(beam) + yaws[beam]).sin_cos();
             // Along each axis, the wall ahead; infinitely far for a beam along the other axis.
             let to_x = (5.0 / cos).max(-3.0 / cos);
             let to_y = (4.0 / sin).max(-2.0 / sin);

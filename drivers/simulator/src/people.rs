@@ -199,9 +199,9 @@ impl Walker {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let start_m = rng.random_range(0.0..=1.0) * reached_m[reached_m.len() - 1];
         let height_m = rng.random_range(1.55..1.9);
-        let mut fabric = |brightest: f32| [(); 3].map(|()| rng.random_range(0.02..brightest));
-        let clothes =
-            Clothes { shirt: fabric(0.6), trousers: fabric(0.25), skin: [0.55, 0.33, 0.22] };
+        let shirt = fabric(0.6, &mut rng);
+        let trousers = fabric(0.25, &mut rng);
+        let clothes = Clothes { shirt, trousers, skin: [0.55, 0.33, 0.22] };
         Some(Self { waypoints_m, reached_m, speed_mps, start_m, height_m, clothes })
     }
 
@@ -232,6 +232,10 @@ impl Walker {
             clothes: self.clothes,
         }
     }
+}
+
+fn fabric(brightest: f32, rng: &mut Pcg64Mcg) -> [f32; 3] {
+    [(); 3].map(|()| rng.random_range(0.02..brightest))
 }
 
 #[cfg(test)]
@@ -319,6 +323,10 @@ mod tests {
         );
     }
 
+    fn distance_m(point: &Vector3<f64>, part: &Capsule) -> f64 {
+        part.normal(point).norm() * part.radius_m
+    }
+
     proptest! {
         #[test]
         fn where_a_ray_enters_is_on_the_surface_and_outside_before(
@@ -328,13 +336,12 @@ mod tests {
             let part = Capsule { from: from.into(), to: to.into(), radius_m: 0.3, color: [0.0; 3] };
             let origin: Vector3<f64> = origin.into();
             let target: Vector3<f64> = target.into();
-            let distance = |point: &Vector3<f64>| part.normal(point).norm() * part.radius_m;
-            prop_assume!(distance(&origin) > 0.31);
+            prop_assume!(distance_m(&origin, &part) > 0.31);
             let direction = target - origin;
-            let first_inside = (0..4000).map(|i| f64::from(i) / 2000.0).find(|s| distance(&(origin + direction * *s)) < 0.3);
+            let first_inside = (0..4000).map(|i| f64::from(i) / 2000.0).find(|s| distance_m(&(origin + direction * *s), &part) < 0.3);
             match part.entry(&origin, &direction) {
                 Some(t) => {
-                    prop_assert!((distance(&(origin + direction * t)) - 0.3).abs() < 1e-6);
+                    prop_assert!((distance_m(&(origin + direction * t), &part) - 0.3).abs() < 1e-6);
                     prop_assert!(first_inside.is_none_or(|s| s >= t - 1e-9));
                 }
                 None => prop_assert!(first_inside.is_none()),

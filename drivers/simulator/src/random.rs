@@ -51,19 +51,10 @@ mod tests {
             (0..20_000).flat_map(|_| table.five(&mut rng)).map(f64::from).collect();
         for numbers in [single, many] {
             let count = numbers.len() as f64;
-            let moment = |power: i32| numbers.iter().map(|x| x.powi(power)).sum::<f64>() / count;
-            assert!(
-                moment(1).abs() < 0.015 && (moment(2) - 1.0).abs() < 0.02,
-                "{} {}",
-                moment(1),
-                moment(2)
-            );
-            assert!(
-                moment(3).abs() < 0.06 && (moment(4) - 3.0).abs() < 0.2,
-                "{} {}",
-                moment(3),
-                moment(4)
-            );
+            let [mean, second, third, fourth] = [1, 2, 3, 4]
+                .map(|power| numbers.iter().map(|x| x.powi(power)).sum::<f64>() / count);
+            assert!(mean.abs() < 0.015 && (second - 1.0).abs() < 0.02, "{mean} {second}");
+            assert!(third.abs() < 0.06 && (fourth - 3.0).abs() < 0.2, "{third} {fourth}");
             let beyond = numbers.iter().filter(|x| x.abs() > 1.96).count() as f64 / count;
             assert!((beyond - 0.05).abs() < 0.006, "{beyond}");
         }

@@ -47,12 +47,14 @@ mod tests {
 
     #[test]
     fn each_protocol_is_known_by_its_heartbeat_and_other_frames_name_no_controller() {
-        let sent = |id, length| sender(&CanFrame::new(id, &[0; 8][..length]).unwrap());
-        let some = |protocol, node| Some(Sender { protocol, node });
-        assert_eq!(sent(CanId::Standard(0x061), 8), some(Protocol::Odrive, 3));
-        assert_eq!(sent(CanId::Standard(0x703), 1), some(Protocol::Cia402, 3));
-        assert_eq!(sent(CanId::Standard(0x701), 8), some(Protocol::Odrive, 56));
-        assert_eq!(sent(CanId::Extended(0x955), 8), some(Protocol::Vesc, 0x55));
+        for (id, length, protocol, node) in [
+            (CanId::Standard(0x061), 8, Protocol::Odrive, 3),
+            (CanId::Standard(0x703), 1, Protocol::Cia402, 3),
+            (CanId::Standard(0x701), 8, Protocol::Odrive, 56),
+            (CanId::Extended(0x955), 8, Protocol::Vesc, 0x55),
+        ] {
+            assert_eq!(sender_of(id, length), Some(Sender { protocol, node }), "{id}");
+        }
         for (id, length) in [
             (CanId::Standard(0x069), 8),
             (CanId::Standard(0x700), 1),
@@ -60,9 +62,13 @@ mod tests {
             (CanId::Extended(0x1055), 8),
             (CanId::Standard(0), 0),
         ] {
-            assert_eq!(sent(id, length), None, "{id}");
+            assert_eq!(sender_of(id, length), None, "{id}");
         }
         let remote = CanFrame::remote(CanId::Standard(0x061), 8).unwrap();
         assert_eq!(sender(&remote), None);
+    }
+
+    fn sender_of(id: CanId, length: usize) -> Option<Sender> {
+        sender(&CanFrame::new(id, &[0; 8][..length]).unwrap())
     }
 }

@@ -157,9 +157,12 @@ mod tests {
 
     #[test]
     fn each_model_has_the_beams_that_its_rate_fills() {
-        let beams = |model: Model, mode| model.geometry(mode, model.spec().rotation_hz).beams;
         assert_eq!(Model::ALL.map(|model| beams(model, ScanMode::Express)), [600, 360, 360, 1440]);
         assert_eq!(Model::ALL.map(|model| beams(model, ScanMode::Standard)), [300, 180, 180, 720]);
+    }
+
+    fn beams(model: Model, mode: ScanMode) -> usize {
+        model.geometry(mode, model.spec().rotation_hz).beams
     }
 
     #[test]

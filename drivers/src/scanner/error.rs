@@ -84,14 +84,17 @@ pub struct BlindError {
 impl BlindError {
     /// The error of a scan with these ranges, if it is one.
     pub(crate) fn of(ranges: &[Range], port: &Arc<str>) -> Option<Self> {
-        let count = |kind| ranges.iter().filter(|range| **range == kind).count();
         ranges.iter().all(|range| range.hit_m().is_none()).then(|| Self {
             port: port.clone(),
-            errors: count(Range::Error),
-            too_near: count(Range::TooNear),
-            no_return: count(Range::NoReturn),
+            errors: count(Range::Error, ranges),
+            too_near: count(Range::TooNear, ranges),
+            no_return: count(Range::NoReturn, ranges),
         })
     }
+}
+
+fn count(kind: Range, ranges: &[Range]) -> usize {
+    ranges.iter().filter(|range| **range == kind).count()
 }
 
 /// The remedy when a port cannot be opened.

@@ -85,12 +85,11 @@ impl Polled {
     /// Returns an error if no scan can be returned now.
     fn check_alive(&self) -> Result<(), PollError> {
         let limit_ns = 2 * self.geometry.period_ns;
-        let port = || self.port.clone();
         let is_silent = match self.monitor.shared.state() {
             DeviceState::Starting | DeviceState::Disconnected => {
-                return Err(PollError::Disconnected { port: port() });
+                return Err(PollError::Disconnected { port: self.port.clone() });
             }
-            DeviceState::Faulty => return Err(PollError::Faulty { port: port() }),
+            DeviceState::Faulty => return Err(PollError::Faulty { port: self.port.clone() }),
             DeviceState::Silent => true,
             DeviceState::Working => {
                 let last_ns = self.monitor.shared.last_good_ns.load(Acquire);
@@ -98,7 +97,10 @@ impl Polled {
             }
         };
         if is_silent {
-            return Err(PollError::Silent { port: port(), limit_ms: limit_ns / 1_000_000 });
+            return Err(PollError::Silent {
+                port: self.port.clone(),
+                limit_ms: limit_ns / 1_000_000,
+            });
         }
         Ok(())
     }

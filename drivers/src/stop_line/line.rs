@@ -1,6 +1,6 @@
 //! Reading the level of a line: of the kernel's GPIO character device, or a file that simulates one.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use gpiocdev::line::{Bias, Value};
 use gpiocdev::{Chip, Request};
@@ -24,29 +24,29 @@ pub fn open_line(config: &StopLineConfig) -> Result<Box<dyn Line>, StopLineError
     if let Some(path) = config.chip.strip_prefix("file:") {
         return Ok(Box::new(SimulatedLine { path: path.into() }));
     }
-    let chip = || config.chip.clone();
-    let line = || config.line.clone();
-    let device = Chip::from_path(&config.chip)
-        .map_err(|source| StopLineError::Chip { chip: chip(), source })?;
-    let info = match config.line.parse() {
+    let StopLineConfig { chip, line, .. } = config;
+    let device = Chip::from_path(chip)
+        .map_err(|source| StopLineError::Chip { chip: chip.clone(), source })?;
+    let info = match line.parse() {
         Ok(number) => device.line_info(number).ok(),
-        Err(_) => device.find_line_info(&config.line),
+        Err(_) => device.find_line_info(line),
     };
-    let info = info.ok_or_else(|| StopLineError::NoLine { chip: chip(), line: line() })?;
+    let info =
+        info.ok_or_else(|| StopLineError::NoLine { chip: chip.clone(), line: line.clone() })?;
     // Against a broken wire. Chips without such resistors ignore it.
     let bias = match config.released_level {
         Level::Low => Bias::PullUp,
         Level::High => Bias::PullDown,
     };
     let request = Request::builder()
-        .on_chip(&config.chip)
+        .on_chip(chip)
         .with_line(info.offset)
         .as_input()
         .with_bias(bias)
         .with_consumer("embodied-depth")
         .request()
-        .map_err(|source| StopLineError::Line { chip: chip(), line: line(), source })?;
-    Ok(Box::new(GpioLine { request, chip: chip(), line: line() }))
+        .map_err(|source| StopLineError::Line { chip: chip.clone(), line: line.clone(), source })?;
+    Ok(Box::new(GpioLine { request, chip: chip.clone(), line: line.clone() }))
 }
 
 /// A line of a chip.
@@ -79,18 +79,20 @@ struct SimulatedLine {
 
 impl Line for SimulatedLine {
     fn read(&self) -> Result<Level, StopLineError> {
-        let wrong = |what: String| StopLineError::File { path: shown(&self.path), what };
-        let text = std::fs::read_to_string(&self.path).map_err(|error| wrong(error.to_string()))?;
+        let text =
+            std::fs::read_to_string(&self.path).map_err(|error| self.error(error.to_string()))?;
         match text.trim() {
             "0" => Ok(Level::Low),
             "1" => Ok(Level::High),
-            other => Err(wrong(format!("it contains `{other}`"))),
+            other => Err(self.error(format!("it contains `{other}`"))),
         }
     }
 }
 
-fn shown(path: &Path) -> String {
-    path.display().to_string()
+impl SimulatedLine {
+    fn error(&self, what: String) -> StopLineError {
+        StopLineError::File { path: self.path.display().to_string(), what }
+    }
 }
 
 #[cfg(test)]

@@ -186,26 +186,28 @@ pub struct Offer {
 /// When it cannot be opened, or is not a camera.
 pub fn offer(config: &CameraDeviceConfig) -> Result<Offer, V4l2Error> {
     let device: Arc<str> = config.device.as_str().into();
-    let failed = |step| {
-        let device = Arc::clone(&device);
-        move |errno| V4l2Error::setup(&device, step, errno)
-    };
-    let mut node = open(config).map_err(failed("opening it"))?;
-    let capability = node.capability().map_err(failed("querying its capabilities"))?;
+    let mut node = open(config).map_err(|errno| V4l2Error::setup(&device, "opening it", errno))?;
+    let capability = node
+        .capability()
+        .map_err(|errno| V4l2Error::setup(&device, "querying its capabilities", errno))?;
     if !capability.is_camera() {
         return Err(V4l2Error::NotACamera { device });
     }
-    let formats = formats(node.as_mut()).map_err(failed("listing its formats"))?;
-    let code_of = |format: CameraFormat| format.names().iter().find(|code| formats.contains(code));
-    let readable =
-        CameraFormat::ALL.into_iter().find_map(|format| Some((format, *code_of(format)?)));
+    let formats = formats(node.as_mut())
+        .map_err(|errno| V4l2Error::setup(&device, "listing its formats", errno))?;
+    let readable = CameraFormat::ALL.into_iter().find_map(|format| {
+        let code = format.names().iter().find(|code| formats.contains(code))?;
+        Some((format, *code))
+    });
     let width = config.width;
     let height = config.height;
     let Some((format, code)) = readable else {
         return Ok(Offer { formats, format: None, size: (width, height), fps: None });
     };
     let wanted = Layout { width, height, format: code, stride: 0, size: 0, planes: 1 };
-    let got = node.set_layout(wanted).map_err(failed("setting its format"))?;
+    let got = node
+        .set_layout(wanted)
+        .map_err(|errno| V4l2Error::setup(&device, "setting its format", errno))?;
     let interval_ns = node.interval(None).ok().and_then(Interval::ns);
     let fps = interval_ns.map(|ns| 1e9 / ns as f64);
     Ok(Offer { formats, format: Some(format), size: (got.width, got.height), fps })

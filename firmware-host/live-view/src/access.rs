@@ -16,8 +16,8 @@ const LONGEST_NAME: usize = 40;
 pub struct Refused(String);
 
 impl Refused {
-    pub(crate) fn new(why: String) -> Self {
-        Self(why)
+    pub(crate) fn of_file(path: &Path, why: &dyn std::fmt::Display) -> Self {
+        Self(format!("{}: {why}", path.display()))
     }
 }
 
@@ -60,10 +60,9 @@ impl Tokens {
     /// # Errors
     /// A file that others can read, or with a line that is not a token.
     pub fn read(path: &Path) -> Result<Self, Refused> {
-        let refused = |why: String| Refused(format!("{}: {why}", path.display()));
         refuse_if_others_can_read(path)?;
-        let text = std::fs::read_to_string(path).map_err(|error| refused(error.to_string()))?;
-        Self::parse(&text).map_err(refused)
+        let text = std::fs::read_to_string(path).map_err(|error| Refused::of_file(path, &error))?;
+        Self::parse(&text).map_err(|why| Refused::of_file(path, &why))
     }
 
     /// Reads the text of a file.
@@ -77,26 +76,7 @@ impl Tokens {
             if line.is_empty() || line.starts_with('#') {
                 continue;
             }
-            let bad = |why: &str| format!("line {}: {why}", at + 1);
-            let parts: Vec<&str> = line.split_whitespace().collect();
-            let [name, role, token] = parts[..] else {
-                return Err(bad("a line is NAME watch|steer TOKEN"));
-            };
-            let role = match role {
-                "watch" => Role::Watch,
-                "steer" => Role::Steer,
-                _ => return Err(bad("the role is neither `watch` nor `steer`")),
-            };
-            if name.len() > LONGEST_NAME {
-                return Err(bad("the name is longer than 40 bytes"));
-            }
-            if token.len() < SHORTEST {
-                return Err(bad(
-                    "the token is shorter than 16 characters; `openssl rand -hex 16` makes one",
-                ));
-            }
-            let identity = Identity { name: Some(name.to_owned()), role };
-            tokens.push((blake3::hash(token.as_bytes()), identity));
+            tokens.push(parse_line(line).map_err(|why| format!("line {}: {why}", at + 1))?);
         }
         if tokens.is_empty() {
             return Err("there is no token: a line is NAME watch|steer TOKEN".to_owned());
@@ -115,6 +95,27 @@ impl Tokens {
         }
         found
     }
+}
+
+/// Reads the hash of a token and whose token it is.
+fn parse_line(line: &str) -> Result<(blake3::Hash, Identity), &'static str> {
+    let parts: Vec<&str> = line.split_whitespace().collect();
+    let [name, role, token] = parts[..] else {
+        return Err("a line is NAME watch|steer TOKEN");
+    };
+    let role = match role {
+        "watch" => Role::Watch,
+        "steer" => Role::Steer,
+        _ => return Err("the role is neither `watch` nor `steer`"),
+    };
+    if name.len() > LONGEST_NAME {
+        return Err("the name is longer than 40 bytes");
+    }
+    if token.len() < SHORTEST {
+        return Err("the token is shorter than 16 characters; `openssl rand -hex 16` makes one");
+    }
+    let identity = Identity { name: Some(name.to_owned()), role };
+    Ok((blake3::hash(token.as_bytes()), identity))
 }
 
 /// What protects the bytes between a client and this program.
@@ -227,18 +228,38 @@ mod tests {
         Handshake { host: Some(host), ..Handshake::default() }
     }
 
+    fn with_token(token: Option<&str>) -> Handshake<'_> {
+        Handshake { token, ..of_host("robot.local:8765") }
+    }
+
+    fn may_connect(access: &Access, origin: &str, host: &str) -> bool {
+        access.authorize(Handshake { origin: Some(origin), ..of_host(host) }).is_ok()
+    }
+
+    fn tokens() -> Option<Tokens> {
+        Some(Tokens::parse(TOKENS).unwrap())
+    }
+
+    fn access_at(
+        address: &str,
+        transport: Transport,
+        tokens: Option<Tokens>,
+    ) -> Result<Access, String> {
+        let address: IpAddr = address.parse().unwrap();
+        Access::new(address, transport, tokens, Vec::new()).map_err(|why| why.to_string())
+    }
+
     #[test]
     fn another_address_than_loopback_needs_tokens_and_tls() {
-        let tokens = || Some(Tokens::parse(TOKENS).unwrap());
         for address in ["0.0.0.0", "192.168.1.7", "::"] {
-            let at = |transport, tokens| {
-                let address: IpAddr = address.parse().unwrap();
-                Access::new(address, transport, tokens, Vec::new()).map_err(|why| why.to_string())
-            };
-            assert!(at(Transport::Tls, None).unwrap_err().contains("--tokens"));
-            assert!(at(Transport::Plain, tokens()).unwrap_err().contains("--tls-certificate"));
-            assert!(at(Transport::Tls, tokens()).is_ok());
-            assert!(at(Transport::ProtectedElsewhere, tokens()).is_ok());
+            assert!(access_at(address, Transport::Tls, None).unwrap_err().contains("--tokens"));
+            assert!(
+                access_at(address, Transport::Plain, tokens())
+                    .unwrap_err()
+                    .contains("--tls-certificate")
+            );
+            assert!(access_at(address, Transport::Tls, tokens()).is_ok());
+            assert!(access_at(address, Transport::ProtectedElsewhere, tokens()).is_ok());
         }
         let local = Access::new(Ipv6Addr::LOCALHOST.into(), Transport::Plain, None, Vec::new());
         assert!(local.is_ok());
@@ -246,15 +267,13 @@ mod tests {
 
     #[test]
     fn a_token_gives_its_role_and_nothing_else_does() {
-        let access =
-            Access::new(LOCAL, Transport::Plain, Some(Tokens::parse(TOKENS).unwrap()), Vec::new())
-                .unwrap();
-        let with = |token| access.authorize(Handshake { token, ..of_host("robot.local:8765") });
+        let access = Access::new(LOCAL, Transport::Plain, tokens(), Vec::new()).unwrap();
         let anna = Identity { name: Some("anna".to_owned()), role: Role::Steer };
-        assert_eq!(with(Some("aaaaaaaaaaaaaaaa1")), Ok(anna));
-        assert_eq!(with(Some("bbbbbbbbbbbbbbbb2")).unwrap().role, Role::Watch);
+        assert_eq!(access.authorize(with_token(Some("aaaaaaaaaaaaaaaa1"))), Ok(anna));
+        let screen = access.authorize(with_token(Some("bbbbbbbbbbbbbbbb2"))).unwrap();
+        assert_eq!(screen.role, Role::Watch);
         for wrong in [None, Some(""), Some("aaaaaaaaaaaaaaaa"), Some("anna")] {
-            assert!(with(wrong).is_err());
+            assert!(access.authorize(with_token(wrong)).is_err());
         }
         assert!(access.authorize(of_host("127.0.0.1:8765")).is_err());
     }
@@ -264,19 +283,16 @@ mod tests {
         let access =
             Access::new(LOCAL, Transport::Plain, None, vec!["https://app.foxglove.dev".to_owned()])
                 .unwrap();
-        let from = |origin, host| {
-            access.authorize(Handshake { origin: Some(origin), ..of_host(host) }).is_ok()
-        };
-        assert!(from("http://127.0.0.1:8765", "127.0.0.1:8765"));
-        assert!(from("http://localhost:8765", "localhost:8765"));
-        assert!(from("https://localhost:8765", "localhost:8765"));
-        assert!(from("https://app.foxglove.dev", "127.0.0.1:8765"));
-        assert!(!from("http://evil.example", "127.0.0.1:8765"));
-        assert!(!from("null", "127.0.0.1:8765"));
-        assert!(!from("http://127.0.0.1:9999", "127.0.0.1:8765"));
+        assert!(may_connect(&access, "http://127.0.0.1:8765", "127.0.0.1:8765"));
+        assert!(may_connect(&access, "http://localhost:8765", "localhost:8765"));
+        assert!(may_connect(&access, "https://localhost:8765", "localhost:8765"));
+        assert!(may_connect(&access, "https://app.foxglove.dev", "127.0.0.1:8765"));
+        assert!(!may_connect(&access, "http://evil.example", "127.0.0.1:8765"));
+        assert!(!may_connect(&access, "null", "127.0.0.1:8765"));
+        assert!(!may_connect(&access, "http://127.0.0.1:9999", "127.0.0.1:8765"));
         // Its own name, which its name server lets point to this computer.
-        assert!(!from("http://evil.example:8765", "evil.example:8765"));
-        assert!(!from("http://127.0.0.1.evil.example", "127.0.0.1.evil.example"));
+        assert!(!may_connect(&access, "http://evil.example:8765", "evil.example:8765"));
+        assert!(!may_connect(&access, "http://127.0.0.1.evil.example", "127.0.0.1.evil.example"));
         assert!(access.authorize(of_host("[::1]:8765")).is_ok());
         assert!(access.authorize(Handshake::default()).is_err());
     }
@@ -299,10 +315,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("tokens");
         std::fs::write(&path, TOKENS).unwrap();
-        let set = |mode| std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode));
-        set(0o644).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o644)).unwrap();
         assert!(Tokens::read(&path).unwrap_err().to_string().contains("chmod 600"));
-        set(0o600).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
         assert!(Tokens::read(&path).is_ok());
         assert!(Tokens::read(&dir.path().join("none")).is_err());
     }

@@ -42,10 +42,6 @@ pub fn layout() -> Value {
         "Plot!speed": plot("Commands in force", &["/robot/now.linear_mps", "/robot/now.angular_radps"]),
     });
     let mut buttons = Vec::new();
-    // What needs another velocity, area or policy each time has no button.
-    let has_button = |order: &Order| {
-        !matches!(order, Order::Drive { .. } | Order::KeepOut { .. } | Order::ExploreBy { .. })
-    };
     for order in Order::ALL.into_iter().filter(has_button) {
         let name = service_name(order);
         let id = format!("CallService!{name}");
@@ -68,6 +64,11 @@ pub fn layout() -> Value {
         "playbackConfig": {"speed": 1},
         "layout": beside("row", 68, &left, &right),
     })
+}
+
+/// What needs another velocity, area or policy each time has no button.
+fn has_button(order: &Order) -> bool {
+    !matches!(order, Order::Drive { .. } | Order::KeepOut { .. } | Order::ExploreBy { .. })
 }
 
 fn beside(direction: &str, share: u32, first: &Value, second: &Value) -> Value {

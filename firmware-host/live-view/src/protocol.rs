@@ -122,22 +122,25 @@ pub fn read_text(text: &str) -> Result<Request, String> {
 /// # Errors
 /// What is not one of the protocol, in words.
 pub fn read_binary(bytes: &[u8]) -> Result<Request, String> {
-    let cut = || "a binary message is cut off".to_owned();
-    let (kind, rest) = bytes.split_first().ok_or_else(cut)?;
+    let (kind, rest) = bytes.split_first().ok_or_else(cut_off)?;
     match *kind {
         MESSAGE_DATA => {
-            let (channel, payload) = take_u32(rest).ok_or_else(cut)?;
+            let (channel, payload) = take_u32(rest).ok_or_else(cut_off)?;
             Ok(Request::Publish { channel, payload: payload.to_vec() })
         }
         SERVICE_REQUEST => {
-            let (service, rest) = take_u32(rest).ok_or_else(cut)?;
-            let (id, rest) = take_u32(rest).ok_or_else(cut)?;
-            let (length, rest) = take_u32(rest).ok_or_else(cut)?;
-            let payload = rest.get(length as usize..).ok_or_else(cut)?;
+            let (service, rest) = take_u32(rest).ok_or_else(cut_off)?;
+            let (id, rest) = take_u32(rest).ok_or_else(cut_off)?;
+            let (length, rest) = take_u32(rest).ok_or_else(cut_off)?;
+            let payload = rest.get(length as usize..).ok_or_else(cut_off)?;
             Ok(Request::Call(Call { service, id, payload: payload.to_vec() }))
         }
         _ => Ok(Request::Other),
     }
+}
+
+fn cut_off() -> String {
+    "a binary message is cut off".to_owned()
 }
 
 fn take_u32(bytes: &[u8]) -> Option<(u32, &[u8])> {
@@ -291,20 +294,21 @@ fn service(number: usize, order: Order) -> Value {
         "type": "object",
         "properties": {"accepted": {"type": "boolean"}, "text": {"type": "string"}},
     });
-    let described = |suffix: &str, schema: Value| {
-        json!({
-            "encoding": ENCODING,
-            "schemaName": format!("robot.{name}.{suffix}"),
-            "schemaEncoding": "jsonschema",
-            "schema": schema.to_string(),
-        })
-    };
     json!({
         "id": number,
         "name": format!("/robot/{name}"),
         "type": format!("robot.{name}"),
-        "request": described("request", request),
-        "response": described("response", response),
+        "request": described(name, "request", &request),
+        "response": described(name, "response", &response),
+    })
+}
+
+fn described(name: &str, suffix: &str, schema: &Value) -> Value {
+    json!({
+        "encoding": ENCODING,
+        "schemaName": format!("robot.{name}.{suffix}"),
+        "schemaEncoding": "jsonschema",
+        "schema": schema.to_string(),
     })
 }
 
@@ -425,11 +429,12 @@ mod tests {
 
     #[test]
     fn a_watcher_sees_the_service_that_stops_the_robot_only() {
-        let of = |role| {
-            let value: Value = serde_json::from_str(&advertise_services(role)).unwrap();
-            value["services"].as_array().unwrap().len()
-        };
-        assert_eq!((of(Role::Watch), of(Role::Steer)), (1, Order::ALL.len()));
+        assert_eq!((services_for(Role::Watch), services_for(Role::Steer)), (1, Order::ALL.len()));
+    }
+
+    fn services_for(role: Role) -> usize {
+        let value: Value = serde_json::from_str(&advertise_services(role)).unwrap();
+        value["services"].as_array().unwrap().len()
     }
 
     #[test]

@@ -32,22 +32,20 @@ type Accepted = (TlsStream<TcpStream>, SocketAddr);
 /// # Errors
 /// A file that cannot be read or is not PEM, a key that others can read, and a key of another certificate.
 pub fn config(certificate: &Path, key: &Path) -> Result<Arc<ServerConfig>, Refused> {
-    let of = |path: &Path, why: &dyn ToString| {
-        Refused::new(format!("{}: {}", path.display(), why.to_string()))
-    };
     refuse_if_others_can_read(key)?;
     let chain = CertificateDer::pem_file_iter(certificate)
         .and_then(Iterator::collect::<Result<Vec<_>, _>>)
-        .map_err(|error| of(certificate, &error))?;
+        .map_err(|error| Refused::of_file(certificate, &error))?;
     if chain.is_empty() {
-        return Err(of(certificate, &"the file holds no certificate in PEM"));
+        return Err(Refused::of_file(certificate, &"the file holds no certificate in PEM"));
     }
-    let secret = PrivateKeyDer::from_pem_file(key).map_err(|error| of(key, &error))?;
+    let secret =
+        PrivateKeyDer::from_pem_file(key).map_err(|error| Refused::of_file(key, &error))?;
     // The provider is named, because another crate of the workspace may have chosen one for the process.
     let config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
         .with_safe_default_protocol_versions()
         .and_then(|builder| builder.with_no_client_auth().with_single_cert(chain, secret))
-        .map_err(|error| of(certificate, &error))?;
+        .map_err(|error| Refused::of_file(certificate, &error))?;
     Ok(Arc::new(config))
 }
 

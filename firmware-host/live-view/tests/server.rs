@@ -37,14 +37,6 @@ struct FakeRobot {
 impl FakeRobot {
     async fn accept(&mut self) {
         let (mut stream, _) = within(self.listener.accept()).await.unwrap();
-        let channel = |id, topic: &str| Channel {
-            id,
-            topic: topic.to_owned(),
-            encoding: "json".to_owned(),
-            schema_name: "x".to_owned(),
-            schema_encoding: "jsonschema".to_owned(),
-            schema: "{}".to_owned(),
-        };
         let channels = Frame::Channels(vec![channel(0, "/robot/now"), channel(1, "/map")]);
         stream.write_all(&channels.to_bytes().unwrap()).await.unwrap();
         self.stream = Some(stream);
@@ -84,6 +76,17 @@ impl FakeRobot {
                 return (order.who, order.role);
             }
         }
+    }
+}
+
+fn channel(id: u16, topic: &str) -> Channel {
+    Channel {
+        id,
+        topic: topic.to_owned(),
+        encoding: "json".to_owned(),
+        schema_name: "x".to_owned(),
+        schema_encoding: "jsonschema".to_owned(),
+        schema: "{}".to_owned(),
     }
 }
 

@@ -137,14 +137,15 @@ fn a_key_that_others_can_read_and_files_that_do_not_fit_are_refused_with_their_n
     let other = Files::new();
     let certificate = files.path("cert.pem");
     let key = files.path("key.pem");
-    let why = |certificate: &Path, key: &Path| {
-        tls::config(certificate, key).map(drop).unwrap_err().to_string()
-    };
-    assert!(why(&files.path("none.pem"), &key).contains("none.pem"));
-    assert!(why(&key, &key).contains("no certificate"));
-    assert!(why(&certificate, &other.path("key.pem")).contains("cert.pem"));
+    assert!(refusal(&files.path("none.pem"), &key).contains("none.pem"));
+    assert!(refusal(&key, &key).contains("no certificate"));
+    assert!(refusal(&certificate, &other.path("key.pem")).contains("cert.pem"));
     write_key(&files.path("empty.pem"), "");
-    assert!(why(&certificate, &files.path("empty.pem")).contains("empty.pem"));
+    assert!(refusal(&certificate, &files.path("empty.pem")).contains("empty.pem"));
     std::fs::set_permissions(&key, Permissions::from_mode(0o640)).unwrap();
-    assert!(why(&certificate, &key).contains("chmod 600"));
+    assert!(refusal(&certificate, &key).contains("chmod 600"));
+}
+
+fn refusal(certificate: &Path, key: &Path) -> String {
+    tls::config(certificate, key).map(drop).unwrap_err().to_string()
 }

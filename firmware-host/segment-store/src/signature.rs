@@ -115,17 +115,20 @@ impl Statement {
         if entries.len() != ENTRIES {
             return None;
         }
-        let get = |name| entries.get(name).map(|text: &&str| (*text).to_owned());
         let statement = Self {
-            robot: get("robot")?,
-            run: get("run")?,
-            segment: get("segment")?.parse().ok()?,
-            previous: get("previous")?,
-            digest: get("digest")?,
+            robot: text_of(entries, "robot")?,
+            run: text_of(entries, "run")?,
+            segment: text_of(entries, "segment")?.parse().ok()?,
+            previous: text_of(entries, "previous")?,
+            digest: text_of(entries, "digest")?,
         };
         let robot = VerifyingKey::from_bytes(&bytes(&statement.robot)?).ok()?;
         let signature = Signature::from_bytes(&bytes(entries.get("signature")?)?);
         robot.verify_strict(statement.text().as_bytes(), &signature).ok()?;
         Some(statement)
     }
+}
+
+fn text_of(entries: &BTreeMap<&str, &str>, name: &str) -> Option<String> {
+    entries.get(name).map(|text| (*text).to_owned())
 }

@@ -1,7 +1,7 @@
 //! Why a signed model is refused or cannot be made.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Groups of [`BundleError`]s that a caller handles alike.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -126,6 +126,10 @@ pub enum BundleError {
 }
 
 impl BundleError {
+    pub(crate) fn unreadable(path: &Path, reason: io::Error) -> Self {
+        Self::File { what: "read", path: path.to_owned(), reason }
+    }
+
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         match self {

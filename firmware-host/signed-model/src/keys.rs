@@ -32,7 +32,7 @@ impl TrustedKeys {
     pub fn read(path: &Path) -> Result<Self, BundleError> {
         let text = std::fs::read_to_string(path).map_err(|reason| match reason.kind() {
             std::io::ErrorKind::NotFound => BundleError::NoTrustedKeys { path: path.to_owned() },
-            _ => BundleError::File { what: "read", path: path.to_owned(), reason },
+            _ => BundleError::unreadable(path, reason),
         })?;
         Self::parse(&text, path)
     }

@@ -70,13 +70,12 @@ pub fn read_secret_key(
     path: &Path,
     password: impl FnOnce() -> io::Result<String>,
 ) -> Result<SecretKey, BundleError> {
-    let unreadable = |reason| BundleError::File { what: "read", path: path.to_owned(), reason };
-    let bytes = std::fs::read(path).map_err(unreadable)?;
+    let bytes = std::fs::read(path).map_err(|reason| BundleError::unreadable(path, reason))?;
     let text = String::from_utf8(bytes).map_err(|_| unusable(path, "it is not text"))?;
     if let Ok(key) = parse_box(&text, path)?.into_unencrypted_secret_key() {
         return Ok(key);
     }
-    let password = password().map_err(unreadable)?;
+    let password = password().map_err(|reason| BundleError::unreadable(path, reason))?;
     parse_box(&text, path)?
         .into_secret_key(Some(password))
         .map_err(|error| unusable(path, &error.to_string()))

@@ -132,15 +132,17 @@ fn read_line(stream: &mut impl BufRead) -> Result<String, BundleError> {
 }
 
 fn read_file(path: &Path, what: &'static str, most: u64) -> Result<Vec<u8>, BundleError> {
-    let unreadable = |reason| BundleError::File { what: "read", path: path.to_owned(), reason };
-    let file = File::open(path).map_err(unreadable)?;
-    let bytes = file.metadata().map_err(unreadable)?.len();
+    let file = File::open(path).map_err(|reason| BundleError::unreadable(path, reason))?;
+    let about = file.metadata().map_err(|reason| BundleError::unreadable(path, reason))?;
+    let bytes = about.len();
     if bytes > most {
         return Err(BundleError::TooLarge { what, bytes, most });
     }
     let mut read = Vec::new();
     // The metadata is not enough: a file can grow while it is read, and a device reports no length.
-    file.take(most + 1).read_to_end(&mut read).map_err(unreadable)?;
+    file.take(most + 1)
+        .read_to_end(&mut read)
+        .map_err(|reason| BundleError::unreadable(path, reason))?;
     let bytes = read.len() as u64;
     if bytes > most { Err(BundleError::TooLarge { what, bytes, most }) } else { Ok(read) }
 }

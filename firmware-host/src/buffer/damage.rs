@@ -19,7 +19,6 @@ impl Damage {
 
     /// What was left out, one phrase for each kind; empty if nothing was.
     pub fn left_out(self, catalogue: &Catalogue) -> Vec<String> {
-        let in_state = |state| catalogue.entries.iter().filter(move |entry| entry.state == state);
         let mut phrases = Vec::new();
         if self.chunks > 0 {
             phrases.push(count(self.chunks, "damaged chunk", "damaged chunks"));
@@ -27,20 +26,24 @@ impl Damage {
         if self.messages > 0 {
             phrases.push(count(self.messages, "unreadable message", "unreadable messages"));
         }
-        let cut = self.cut.saturating_sub(in_state(State::Open).count() as u64);
+        let cut = self.cut.saturating_sub(in_state(catalogue, State::Open).count() as u64);
         if cut > 0 {
-            let which: Vec<String> = in_state(State::Cut)
+            let which: Vec<String> = in_state(catalogue, State::Cut)
                 .map(|entry| format!("{} is cut {}", entry.name, after(entry)))
                 .collect();
             let which =
                 if which.is_empty() { String::new() } else { format!(" ({})", which.join("; ")) };
             phrases.push(format!("the end of {}{which}", count(cut, "segment", "segments")));
         }
-        phrases.extend(in_state(State::Open).map(|entry| {
+        phrases.extend(in_state(catalogue, State::Open).map(|entry| {
             format!("the rest of {}, which is still being written {}", entry.name, after(entry))
         }));
         phrases
     }
+}
+
+fn in_state(catalogue: &Catalogue, state: State) -> impl Iterator<Item = &Entry> {
+    catalogue.entries.iter().filter(move |entry| entry.state == state)
 }
 
 fn count(number: u64, one: &str, several: &str) -> String {

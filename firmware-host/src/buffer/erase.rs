@@ -31,7 +31,7 @@ fn erase_with(dir: &Path, yes: bool, print_all: fn() -> io::Result<()>) -> Resul
         dir.display()
     );
     // Neither `.` nor a link can be removed as a directory.
-    let dir = &dir.canonicalize().with_context(|| format!("cannot read {}", dir.display()))?;
+    let dir = &dir.canonicalize().with_context(|| cannot_read(dir))?;
     let lines = receipt(dir)?;
     for Line { path, bytes, digest } in &lines {
         println!("{digest} {bytes:>12} {}", path.display());
@@ -65,13 +65,16 @@ fn receipt(dir: &Path) -> Result<Vec<Line>> {
             dir.join(open.name.file()).display()
         );
     }
-    let error = || format!("cannot read {}", dir.display());
     let mut lines = Vec::new();
-    for entry in fs::read_dir(dir).with_context(error)? {
-        lines.push(line(entry.with_context(error)?.path())?);
+    for entry in fs::read_dir(dir).with_context(|| cannot_read(dir))? {
+        lines.push(line(entry.with_context(|| cannot_read(dir))?.path())?);
     }
     lines.sort_by(|a, b| a.path.cmp(&b.path));
     Ok(lines)
+}
+
+fn cannot_read(dir: &Path) -> String {
+    format!("cannot read {}", dir.display())
 }
 
 fn line(path: PathBuf) -> Result<Line> {
@@ -132,8 +135,10 @@ mod tests {
     fn nothing_is_erased_if_the_receipt_cannot_be_printed() {
         let runs = runs();
         let run = runs.path().join("monday");
-        let full = || Err(io::ErrorKind::StorageFull.into());
-        let error = format!("{:#}", erase_with(&run, true, full).unwrap_err());
+        let error = format!(
+            "{:#}",
+            erase_with(&run, true, || Err(io::ErrorKind::StorageFull.into())).unwrap_err()
+        );
         assert!(error.starts_with("nothing was erased: cannot write the receipt"), "{error}");
         assert_eq!(fs::read_dir(&run).unwrap().count(), 3);
     }

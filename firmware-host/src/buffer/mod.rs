@@ -14,7 +14,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use segment_store::{
-    Catalogue, CpuFeatures, Entry, Finding, Name, Root, State, StoreError, export, is_segment_name,
+    Catalogue, CpuFeatures, Entry, Finding, Root, State, StoreError, export, is_segment_name,
     recover_file,
 };
 
@@ -67,9 +67,10 @@ fn find(path: &Path) -> Result<(Root, Catalogue), StoreError> {
     }
     let (root, mut catalogue) = Catalogue::open(dir)?;
     if is_file {
-        let is_it = |name: &Name| name.as_str() == file;
-        catalogue.entries.retain(|entry| is_it(&entry.name));
-        catalogue.unread.retain(|unread| unread.name.as_ref().is_some_and(is_it));
+        catalogue.entries.retain(|entry| entry.name.as_str() == file);
+        catalogue
+            .unread
+            .retain(|unread| unread.name.as_ref().is_some_and(|name| name.as_str() == file));
     }
     detect_unlocked(&root, &mut catalogue.entries);
     Ok((root, catalogue))
@@ -137,9 +138,9 @@ fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
 
 /// Whether the segment was damaged and has been recovered.
 fn recover_one(root: &Root, entry: &Entry, out: &Path) -> Result<bool> {
-    let unread = || format!("cannot read {}", root.path().join(entry.name.as_str()).display());
-    let file = root.open_file(&entry.name).with_context(unread)?;
-    if segment_store::verify(&file).with_context(unread)?.finding == Finding::Whole {
+    let file = root.open_file(&entry.name).with_context(|| cannot_read(root, entry))?;
+    let verified = segment_store::verify(&file).with_context(|| cannot_read(root, entry))?;
+    if verified.finding == Finding::Whole {
         return Ok(false);
     }
     if entry.state == State::Open {
@@ -159,6 +160,10 @@ fn recover_one(root: &Root, entry: &Entry, out: &Path) -> Result<bool> {
     }
     println!("{}: {} ticks{}{lost}", to.display(), done.ticks, until(done.last_ns));
     Ok(true)
+}
+
+fn cannot_read(root: &Root, entry: &Entry) -> String {
+    format!("cannot read {}", root.path().join(entry.name.as_str()).display())
 }
 
 /// Exports what can be read of a run. The exit code is 1 if that is not all.
@@ -258,8 +263,8 @@ fn serve(dir: &Path) -> Result<()> {
         File::from(std::io::stdout().as_fd().try_clone_to_owned().context("stdout is closed")?);
     let mut output = BufWriter::with_capacity(64 << 10, stdout);
     let log = PullLog::of(dir);
-    let mut log = |segment: &Name| log.sent(segment);
-    segment_store::serve(&root, CpuFeatures::detect(), &mut log, &mut input, &mut output)
+    let features = CpuFeatures::detect();
+    segment_store::serve(&root, features, &mut |name| log.sent(name), &mut input, &mut output)
         .context("the connection broke")?;
     output.flush().context("the connection broke")
 }

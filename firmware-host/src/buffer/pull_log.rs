@@ -38,13 +38,12 @@ struct Line<'a> {
 impl PullLog {
     /// The log of the directory of runs `dir`, for the account and the address that the environment tells.
     pub(super) fn of(dir: &Path) -> Self {
-        let variable = |name| std::env::var(name).ok().filter(|text| !text.is_empty());
-        let account = || variable("USER").unwrap_or_else(|| "unknown".to_owned());
         // "ADDRESS PORT PORT"; sudo removes it unless its configuration keeps it.
         let client = variable("SSH_CLIENT").unwrap_or_default();
         Self {
             path: dir.join(FILE),
-            who: variable("SUDO_USER").unwrap_or_else(account),
+            who: variable("SUDO_USER")
+                .unwrap_or_else(|| variable("USER").unwrap_or_else(|| "unknown".to_owned())),
             from: client.split(' ').next().unwrap_or_default().to_owned(),
         }
     }
@@ -76,6 +75,10 @@ impl PullLog {
     fn open(&self) -> io::Result<File> {
         OpenOptions::new().append(true).create(true).mode(0o600).open(&self.path)
     }
+}
+
+fn variable(name: &str) -> Option<String> {
+    std::env::var(name).ok().filter(|text| !text.is_empty())
 }
 
 #[cfg(test)]

@@ -64,9 +64,8 @@ struct Author {
 fn examine(root: &Root, entry: &Entry, robots: Option<&KnownRobots>) -> Result<(Verified, Author)> {
     let name = &entry.name;
     let file = root.open_file(name).with_context(|| format!("cannot open {name}"))?;
-    let unread = || format!("cannot read {name}");
-    let verified = segment_store::verify(&file).with_context(unread)?;
-    let signed = check_signature(&file).with_context(unread)?;
+    let verified = segment_store::verify(&file).with_context(|| format!("cannot read {name}"))?;
+    let signed = check_signature(&file).with_context(|| format!("cannot read {name}"))?;
     Ok((verified, author(&signed, name, robots)))
 }
 

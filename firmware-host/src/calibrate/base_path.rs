@@ -70,11 +70,12 @@ mod tests {
     }
 
     fn scans(step_s: f64) -> Vec<ScanPose> {
-        let scan = |index: u32| {
-            let time_s = step_s * f64::from(index);
-            ScanPose { time_s, pose: Pose2::new(time_s, 0.0, 0.0), matched: true }
-        };
-        (0..=4).map(scan).collect()
+        (0..=4)
+            .map(|index: u32| {
+                let time_s = step_s * f64::from(index);
+                ScanPose { time_s, pose: Pose2::new(time_s, 0.0, 0.0), matched: true }
+            })
+            .collect()
     }
 
     fn parameters(t_base_laser: Pose2) -> LaserParameters {

@@ -507,8 +507,11 @@ mod tests {
                 matches.push(Match { from: [u, v], to: [u2, v2] });
             }
         }
-        let stamp = |index: usize| 0.1 * index as f64 + truth().latency_s;
         FramePair { from_s: stamp(from), to_s: stamp(to), matches }
+    }
+
+    fn stamp(index: usize) -> f64 {
+        0.1 * index as f64 + truth().latency_s
     }
 
     #[test]

@@ -42,8 +42,11 @@ impl FloorPoints {
 
 impl Model for FloorPoints {
     fn linearise(&mut self, parameters: &DVector<f64>) -> Vec<Block> {
-        let normalised = |point: &LowPoint| Self::residual(point, parameters[0]) / point.sigma;
-        let mut all: Vec<f64> = self.points.iter().map(normalised).collect();
+        let mut all: Vec<f64> = self
+            .points
+            .iter()
+            .map(|point| Self::residual(point, parameters[0]) / point.sigma)
+            .collect();
         let scale = robust_sigma(&mut all).unwrap_or(1.0).max(1.0);
         let last_s = self.points.iter().fold(0.0, |last: f64, point| last.max(point.time_s));
         let mut blocks = vec![Block::empty(1); (last_s / BLOCK_S) as usize + 1];
@@ -61,19 +64,21 @@ impl Model for FloorPoints {
 ///
 /// Points near the robot and points far from it are one floor only if they agree: what they differ by counts as uncertainty.
 pub(super) fn height(points: &[LowPoint], configured_m: f64) -> Option<[f64; 2]> {
-    let is_near = |point: &&LowPoint| {
-        let expected = point.down / configured_m;
-        point.down >= LEAST_DOWN
-            && (point.inverse_m / expected - 1.0).abs() < NEAR
-            && point.sigma < LARGEST_SIGMA * expected
-    };
-    let mut points: Vec<LowPoint> = points.iter().filter(is_near).copied().collect();
+    let mut points: Vec<LowPoint> =
+        points.iter().filter(|point| is_near(point, configured_m)).copied().collect();
     let [height_m, sigma_m] = fit_height(&points, configured_m)?;
     points.sort_by(|a, b| a.down.total_cmp(&b.down));
     let (far, near) = points.split_at(points.len() / 2);
     let [far_m, _] = fit_height(far, configured_m)?;
     let [near_m, _] = fit_height(near, configured_m)?;
     Some([height_m, sigma_m.hypot(far_m - near_m)])
+}
+
+fn is_near(point: &LowPoint, configured_m: f64) -> bool {
+    let expected = point.down / configured_m;
+    point.down >= LEAST_DOWN
+        && (point.inverse_m / expected - 1.0).abs() < NEAR
+        && point.sigma < LARGEST_SIGMA * expected
 }
 
 fn fit_height(points: &[LowPoint], configured_m: f64) -> Option<[f64; 2]> {
@@ -97,18 +102,19 @@ mod tests {
     /// Points of a floor 0.83 m below the camera, and `things` of a height of 10 to 50 cm among them.
     fn points(things: usize) -> Vec<LowPoint> {
         let mut rng = Pcg64Mcg::seed_from_u64(3);
-        let point = |index: usize| {
-            let above_m = if index < things { rng.random_range(0.1..0.5) } else { 0.0 };
-            let down = rng.random_range(0.15..0.3);
-            let noise = 0.01 * (rng.random::<f64>() + rng.random::<f64>() - 1.0);
-            LowPoint {
-                time_s: 0.1 * index as f64,
-                down,
-                inverse_m: down / (0.83 - above_m) + noise,
-                sigma: 0.005,
-            }
-        };
-        (0..600).map(point).collect()
+        (0..600)
+            .map(|index: usize| {
+                let above_m = if index < things { rng.random_range(0.1..0.5) } else { 0.0 };
+                let down = rng.random_range(0.15..0.3);
+                let noise = 0.01 * (rng.random::<f64>() + rng.random::<f64>() - 1.0);
+                LowPoint {
+                    time_s: 0.1 * index as f64,
+                    down,
+                    inverse_m: down / (0.83 - above_m) + noise,
+                    sigma: 0.005,
+                }
+            })
+            .collect()
     }
 
     #[test]

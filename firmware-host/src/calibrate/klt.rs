@@ -25,7 +25,6 @@ pub(super) struct Gray {
 impl Gray {
     /// The mean of the three channels.
     pub fn of_rgb(width: usize, height: usize, rgb: &[u8]) -> Self {
-        let mean = |pixel: &[u8]| pixel.iter().map(|byte| f32::from(*byte)).sum::<f32>() / 3.0;
         Self { width, height, pixels: rgb.chunks_exact(3).map(mean).collect() }
     }
 
@@ -58,6 +57,10 @@ impl Gray {
             0.5 * (self.get(x, y + 1) - self.get(x, y - 1)),
         ]
     }
+}
+
+fn mean(pixel: &[u8]) -> f32 {
+    pixel.iter().map(|byte| f32::from(*byte)).sum::<f32>() / 3.0
 }
 
 /// The sums of products of gradients over a patch.

@@ -448,15 +448,16 @@ mod tests {
         let LaserParameters { t_base_laser, latency_s, .. } = truth();
         let path = true_path();
         let start = path[0].compose(&t_base_laser);
-        let scan = |index: usize| {
-            let pose = path[10 * index].compose(&t_base_laser);
-            ScanPose {
-                time_s: 0.1 * index as f64 + latency_s,
-                pose: start.inverse().compose(&pose),
-                matched: true,
-            }
-        };
-        (0..600).map(scan).collect()
+        (0..600)
+            .map(|index: usize| {
+                let pose = path[10 * index].compose(&t_base_laser);
+                ScanPose {
+                    time_s: 0.1 * index as f64 + latency_s,
+                    pose: start.inverse().compose(&pose),
+                    matched: true,
+                }
+            })
+            .collect()
     }
 
     #[test]

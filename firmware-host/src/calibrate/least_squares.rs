@@ -117,8 +117,8 @@ pub(super) fn fit(model: &mut impl Model, prior: &Prior, start: &DVector<f64>) -
             return None;
         }
         parameters += &step;
-        let is_small = |index: usize| step[index].abs() < AT_REST * inverse[(index, index)].sqrt();
-        if (0..step.len()).all(is_small) {
+        if (0..step.len()).all(|index| step[index].abs() < AT_REST * inverse[(index, index)].sqrt())
+        {
             break;
         }
     }
@@ -163,16 +163,20 @@ mod tests {
         block: usize,
     }
 
+    fn residual(parameters: &DVector<f64>, [x, y]: &[f64; 2]) -> f64 {
+        parameters[0] + parameters[1] * x - y
+    }
+
     impl Model for Line {
         fn linearise(&mut self, parameters: &DVector<f64>) -> Vec<Block> {
-            let residual = |[x, y]: &[f64; 2]| parameters[0] + parameters[1] * x - y;
-            let mut residuals: Vec<f64> = self.points.iter().map(residual).collect();
+            let mut residuals: Vec<f64> =
+                self.points.iter().map(|point| residual(parameters, point)).collect();
             let sigma = robust_sigma(&mut residuals).unwrap();
             let blocks = self.points.chunks(self.block).map(|points| {
                 let mut block = Block::empty(2);
                 for point in points {
                     let jacobian = DVector::from_vec(vec![1.0, point[0]]);
-                    block.add(&jacobian, residual(point), sigma);
+                    block.add(&jacobian, residual(parameters, point), sigma);
                 }
                 block
             });
@@ -187,14 +191,15 @@ mod tests {
     /// Points of `1 + 2 x` whose noise stays the same over `alike` neighbours.
     fn points(rng: &mut Pcg64Mcg, alike: usize) -> Vec<[f64; 2]> {
         let mut noise = 0.0;
-        let point = |index: usize| {
-            if index.is_multiple_of(alike) {
-                noise = (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
-            }
-            let x = (0.37 * index as f64).sin();
-            [x, 1.0 + 2.0 * x + noise]
-        };
-        (0..400).map(point).collect()
+        (0..400)
+            .map(|index: usize| {
+                if index.is_multiple_of(alike) {
+                    noise = (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+                }
+                let x = (0.37 * index as f64).sin();
+                [x, 1.0 + 2.0 * x + noise]
+            })
+            .collect()
     }
 
     #[test]

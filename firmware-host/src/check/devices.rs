@@ -22,6 +22,8 @@ const MEASURE_NS: u64 = 1_000_000_000;
 /// Time between two polls: the period of the safety loop.
 const POLL_NS: u64 = 10_000_000;
 
+const STOP_LINE: &str = "emergency stop";
+
 /// The result of testing one device.
 pub struct Finding {
     pub device: &'static str,
@@ -120,7 +122,6 @@ struct Measured {
 }
 
 fn test_camera(config: &CameraDeviceConfig) -> Finding {
-    let path = || config.device.clone();
     let agreement = match v4l2::check(config) {
         Ok(agreement) => agreement,
         Err(error) => return camera_failed(config, state_of(&error), "", &error),
@@ -147,14 +148,20 @@ fn test_camera(config: &CameraDeviceConfig) -> Finding {
             let stable = nearby::CAMERAS
                 .stable_name_of(Path::new(&config.device))
                 .map(|name| prefer_stable_name(&name));
-            Finding::usable("camera", path(), details).advise(stable)
+            Finding::usable("camera", config.device.clone(), details).advise(stable)
         }
         Some(error) => camera_failed(config, measured.status.state, &details, &error),
         None => {
             let problem =
                 "it has not delivered a frame yet; check again, and check the cable if this persists"
                     .to_owned();
-            Finding::unusable("camera", path(), measured.status.state, details, problem)
+            Finding::unusable(
+                "camera",
+                config.device.clone(),
+                measured.status.state,
+                details,
+                problem,
+            )
         }
     }
 }
@@ -184,13 +191,12 @@ fn list_formats(formats: &[FourCc]) -> String {
 }
 
 fn test_lidar(config: &LidarConfig) -> Finding {
-    let path = || config.port.to_string();
     let mut device = match AnyLidar::open(config) {
         Ok(device) => device,
         Err(error) => {
             return Finding::unusable(
                 "LiDAR",
-                path(),
+                config.port.to_string(),
                 state_of(&error),
                 String::new(),
                 error.to_string(),
@@ -230,13 +236,16 @@ fn test_lidar(config: &LidarConfig) -> Finding {
         let noise = (bad > 0).then(|| {
             format!("{bad} scans failed their checks during the test; check cable and ground")
         });
-        return Finding::usable("LiDAR", path(), details).advise(stable).advise(noise);
+        return Finding::usable("LiDAR", config.port.to_string(), details)
+            .advise(stable)
+            .advise(noise);
     }
     let starting =
         "it has not delivered a valid scan yet; it may be starting: check again".to_owned();
     let problem = monitor.problem().unwrap_or(starting);
     let others = serial.filter(|path| !path.exists()).map(|_| nearby::PORTS.list());
-    Finding::unusable("LiDAR", path(), measured.status.state, details, problem).advise(others)
+    Finding::unusable("LiDAR", config.port.to_string(), measured.status.state, details, problem)
+        .advise(others)
 }
 
 fn or_unknown(text: String) -> String {
@@ -244,13 +253,12 @@ fn or_unknown(text: String) -> String {
 }
 
 fn test_base(config: &BaseConfig) -> Finding {
-    let path = || config.bus.clone();
     let mut device = match DifferentialBase::new(open_bus(&config.bus), config) {
         Ok(device) => device,
         Err(error) => {
             return Finding::unusable(
                 "base",
-                path(),
+                config.bus.clone(),
                 state_of(&error),
                 String::new(),
                 error.to_string(),
@@ -272,7 +280,7 @@ fn test_base(config: &BaseConfig) -> Finding {
     let problem =
         match (device.check(), device.motors().into_iter().find_map(|motor| motor.problem)) {
             (Ok(()), None) if state == DeviceState::Working => {
-                return Finding::usable("base", path(), details);
+                return Finding::usable("base", config.bus.clone(), details);
             }
             (Err(CanError::Tripped(trip)), _) => trip.to_string(),
             (Err(error), _) => error.to_string(),
@@ -281,23 +289,18 @@ fn test_base(config: &BaseConfig) -> Finding {
     let state = if state == DeviceState::Working { DeviceState::Faulty } else { state };
     let interface =
         if config.bus.starts_with("unix:") { None } else { nearby::can_interface(&config.bus) };
-    Finding::unusable("base", path(), state, details, problem).advise(interface)
+    Finding::unusable("base", config.bus.clone(), state, details, problem).advise(interface)
 }
 
 /// The emergency stop on an input line of the computer; `None` if there is none.
 fn test_stop_line(config: &StopLineConfig) -> Option<Finding> {
-    const DEVICE: &str = "emergency stop";
-    let unusable = |problem| {
-        let state = DeviceState::Disconnected;
-        Finding::unusable(DEVICE, config.place(), state, "counts as pressed".to_owned(), problem)
-    };
     let line = match StopLine::start(config) {
         Ok(line) => line?,
-        Err(error) => return Some(unusable(error.to_string())),
+        Err(error) => return Some(unusable_stop_line(config, error.to_string())),
     };
     let monitor = line.monitor();
     if let Some(problem) = monitor.problem() {
-        return Some(unusable(problem));
+        return Some(unusable_stop_line(config, problem));
     }
     let is_pressed = monitor.is_pressed();
     let advice = is_pressed.then(|| {
@@ -306,7 +309,12 @@ fn test_stop_line(config: &StopLineConfig) -> Option<Finding> {
     });
     let details = if is_pressed { "pressed" } else { "released; press it and check again" };
     let place = config.place();
-    Some(Finding::usable(DEVICE, place, details.to_owned()).advise(advice))
+    Some(Finding::usable(STOP_LINE, place, details.to_owned()).advise(advice))
+}
+
+fn unusable_stop_line(config: &StopLineConfig, problem: String) -> Finding {
+    let state = DeviceState::Disconnected;
+    Finding::unusable(STOP_LINE, config.place(), state, "counts as pressed".to_owned(), problem)
 }
 
 fn describe_motor(status: &MotorStatus) -> String {

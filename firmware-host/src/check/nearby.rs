@@ -136,14 +136,17 @@ mod tests {
     fn a_missing_wrong_or_disabled_can_interface_is_reported_with_the_command_to_run() {
         let folder = tempfile::tempdir().unwrap();
         make(folder.path(), "eth0", "1", "0x1003");
-        let problem = |name| interface(folder.path(), name);
-        assert!(problem("can0").unwrap().contains("connect the adapter"));
-        assert!(problem("eth0").unwrap().contains("not a CAN interface"));
+        assert!(interface(folder.path(), "can0").unwrap().contains("connect the adapter"));
+        assert!(interface(folder.path(), "eth0").unwrap().contains("not a CAN interface"));
         make(folder.path(), "can1", "280", "0x40080");
-        assert!(problem("can0").unwrap().ends_with("are: can1"));
-        assert!(problem("can1").unwrap().contains("ip link set can1 up type can bitrate 500000"));
+        assert!(interface(folder.path(), "can0").unwrap().ends_with("are: can1"));
+        assert!(
+            interface(folder.path(), "can1")
+                .unwrap()
+                .contains("ip link set can1 up type can bitrate 500000")
+        );
         make(folder.path(), "can0", "280", "0x40081");
-        assert_eq!(problem("can0"), None);
+        assert_eq!(interface(folder.path(), "can0"), None);
     }
 
     #[test]

@@ -138,18 +138,23 @@ impl fmt::Display for InFile<'_> {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use crate::config::Config;
 
     #[test]
     fn only_for_a_missing_file_the_refusal_names_the_command_that_writes_a_new_one() {
         let dir = tempfile::tempdir().unwrap();
-        let load = |name: &str| Config::load(&dir.path().join(name)).unwrap_err().to_string();
-        let missing = load("robot.toml");
+        let missing = refusal(dir.path(), "robot.toml");
         assert!(missing.contains("check > robot.toml` writes one to begin with"), "{missing}");
-        let folder = load("");
+        let folder = refusal(dir.path(), "");
         assert!(folder.contains("Is a directory") && !folder.contains('>'), "{folder}");
         std::fs::write(dir.path().join("latin.toml"), b"# caf\xe9\n").unwrap();
-        let latin = load("latin.toml");
+        let latin = refusal(dir.path(), "latin.toml");
         assert!(latin.ends_with("latin.toml is not UTF-8; save it as UTF-8"), "{latin}");
+    }
+
+    fn refusal(dir: &Path, name: &str) -> String {
+        Config::load(&dir.join(name)).unwrap_err().to_string()
     }
 }

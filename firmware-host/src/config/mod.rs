@@ -86,11 +86,11 @@ impl Config {
             return Self::parse(&text, path);
         };
         refuse_if_any(check::file(document.get_ref(), &text), path)?;
-        let not_toml = |error| ConfigError::not_toml(path, &error);
-        let mut table: toml::Table = text.parse().map_err(not_toml)?;
+        let mut table: toml::Table =
+            text.parse().map_err(|error| ConfigError::not_toml(path, &error))?;
         table.remove(calibration::KEY);
         calibration::overlay(&mut table, calibration::read(&measured, path)?);
-        let config: Self = table.try_into().map_err(not_toml)?;
+        let config: Self = table.try_into().map_err(|error| ConfigError::not_toml(path, &error))?;
         refuse_if_any(check::together(&config), path)?;
         Ok(config)
     }

@@ -8,6 +8,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use drivers::Port;
 use drivers::can::{BaseConfig, Protocol};
+use strsim::normalized_damerau_levenshtein;
 
 use super::endpoints::Endpoints;
 use super::found::Found;
@@ -258,19 +259,16 @@ fn number_of(value: &toml::Value) -> Result<f64, String> {
 }
 
 fn unknown(key: &str) -> Option<String> {
-    let names = || QUESTIONS.iter().map(|question| question.key);
-    if names().any(|name| name == key) {
+    let names: Vec<&str> = QUESTIONS.iter().map(|question| question.key).collect();
+    if names.contains(&key) {
         return None;
     }
-    let similarity = |name: &&str| strsim::normalized_damerau_levenshtein(key, name);
-    let nearest = names().max_by(|a, b| similarity(a).total_cmp(&similarity(b)));
-    let nearest = nearest.filter(|name| similarity(name) >= SIMILAR);
+    let similar = names.iter().map(|name| (*name, normalized_damerau_levenshtein(key, name)));
+    let nearest = similar.max_by(|(_, a), (_, b)| a.total_cmp(b));
+    let nearest = nearest.filter(|(_, similarity)| *similarity >= SIMILAR);
     Some(match nearest {
-        Some(name) => format!("there is no question `{key}`: did you mean `{name}`?"),
-        None => format!(
-            "there is no question `{key}`: they are {}",
-            names().collect::<Vec<_>>().join(", ")
-        ),
+        Some((name, _)) => format!("there is no question `{key}`: did you mean `{name}`?"),
+        None => format!("there is no question `{key}`: they are {}", names.join(", ")),
     })
 }
 

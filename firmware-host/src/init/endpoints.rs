@@ -38,14 +38,12 @@ impl Endpoints {
         if text.ends_with(".json") {
             return Self::from_file(Path::new(text));
         }
-        let wanted = || format!("`{text}` is not allowed: {WANTED}");
         let words: Vec<&str> = text.split_whitespace().collect();
-        let [version, enable, timeout] = words[..] else { return Err(wanted()) };
-        let number = |word: &str| word.parse().map_err(|_| wanted());
+        let [version, enable, timeout] = words[..] else { return Err(wanted(text)) };
         Ok(Self {
-            firmware: version_of(version).ok_or_else(wanted)?,
-            enable_watchdog: number(enable)?,
-            watchdog_timeout: number(timeout)?,
+            firmware: version_of(version).ok_or_else(|| wanted(text))?,
+            enable_watchdog: enable.parse().map_err(|_| wanted(text))?,
+            watchdog_timeout: timeout.parse().map_err(|_| wanted(text))?,
         })
     }
 
@@ -55,15 +53,24 @@ impl Endpoints {
             .map_err(|error| format!("cannot read {name}: {error}"))?;
         let file: FlatEndpoints = serde_json::from_str(&text)
             .map_err(|error| format!("{name} is not a flat_endpoints.json: {error}"))?;
-        let id = |property: &str| {
-            let endpoint = file.endpoints.get(property).map(|endpoint| endpoint.id);
-            endpoint.ok_or_else(|| format!("{name} has no {property}"))
-        };
         let firmware = version_of(&file.fw_version).ok_or_else(|| {
             format!("{name} has the fw_version `{}`, not one such as 0.6.10", file.fw_version)
         })?;
-        Ok(Self { firmware, enable_watchdog: id(ENABLE)?, watchdog_timeout: id(TIMEOUT)? })
+        Ok(Self {
+            firmware,
+            enable_watchdog: id_of(&file, ENABLE, path)?,
+            watchdog_timeout: id_of(&file, TIMEOUT, path)?,
+        })
     }
+}
+
+fn wanted(text: &str) -> String {
+    format!("`{text}` is not allowed: {WANTED}")
+}
+
+fn id_of(file: &FlatEndpoints, property: &str, path: &Path) -> Result<u16, String> {
+    let endpoint = file.endpoints.get(property).map(|endpoint| endpoint.id);
+    endpoint.ok_or_else(|| format!("{} has no {property}", path.display()))
 }
 
 fn version_of(text: &str) -> Option<[u8; 3]> {
@@ -90,23 +97,26 @@ mod tests {
     fn the_makers_file_has_both_and_a_file_without_them_is_refused_by_name() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("flat_endpoints.json");
-        let read = |text: &str| {
-            std::fs::write(&path, text).unwrap();
-            Endpoints::parse(path.to_str().unwrap())
-        };
-        let endpoint = |property: &str, id: u16| {
-            format!("\"{property}\": {{\"id\": {id}, \"type\": \"float\"}}")
-        };
         let both = format!("{}, {}", endpoint(ENABLE, 195), endpoint(TIMEOUT, 196));
         assert_eq!(
-            read(&format!("{{\"fw_version\": \"0.6.10\", \"endpoints\": {{{both}}}}}")),
+            read(&path, &format!("{{\"fw_version\": \"0.6.10\", \"endpoints\": {{{both}}}}}")),
             Ok(KNOWN)
         );
         let one = endpoint(ENABLE, 195);
         let error =
-            read(&format!("{{\"fw_version\": \"0.6.10\", \"endpoints\": {{{one}}}}}")).unwrap_err();
+            read(&path, &format!("{{\"fw_version\": \"0.6.10\", \"endpoints\": {{{one}}}}}"))
+                .unwrap_err();
         assert!(error.contains(TIMEOUT), "{error}");
-        assert!(read("{}").unwrap_err().contains("is not a flat_endpoints.json"));
+        assert!(read(&path, "{}").unwrap_err().contains("is not a flat_endpoints.json"));
         assert!(Endpoints::parse("/nowhere/a.json").unwrap_err().contains("cannot read /nowhere"));
+    }
+
+    fn read(path: &Path, text: &str) -> Result<Endpoints, String> {
+        std::fs::write(path, text).unwrap();
+        Endpoints::parse(path.to_str().unwrap())
+    }
+
+    fn endpoint(property: &str, id: u16) -> String {
+        format!("\"{property}\": {{\"id\": {id}, \"type\": \"float\"}}")
     }
 }

@@ -161,13 +161,9 @@ mod tests {
             usb: Some((0x10c4, 0xea60)),
             problem: None,
         };
-        let sender = |node| Sender { protocol: Protocol::Odrive, node };
-        let bus = FoundBus {
-            name: "can0".to_owned(),
-            problem: None,
-            senders: vec![sender(3), sender(5)],
-        };
-        assert_eq!(bus.pair(), Some([sender(3), sender(5)]));
+        let senders = [3, 5].map(|node| Sender { protocol: Protocol::Odrive, node });
+        let bus = FoundBus { name: "can0".to_owned(), problem: None, senders: senders.to_vec() };
+        assert_eq!(bus.pair(), Some(senders));
         let denied = FoundCamera {
             device: "/dev/video0".to_owned(),
             name: String::new(),

@@ -94,7 +94,23 @@ fn lines_of(
 
 /// The keys that hold the answer itself.
 fn plain_lines(question: &Question, answers: &Answers) -> Vec<Line> {
-    let value = |place: usize| match answers.get(question.key)? {
+    let with_value = question
+        .sets
+        .iter()
+        .enumerate()
+        .filter_map(|(place, sets)| Some((sets, value_at(question, answers, place)?)));
+    with_value
+        .filter(|(sets, value)| sets.always || default_value(sets.key) != Some(value))
+        .map(|(sets, value)| Line {
+            key: sets.key,
+            value: value.to_string(),
+            comment: sets.comment.to_owned(),
+        })
+        .collect()
+}
+
+fn value_at(question: &Question, answers: &Answers, place: usize) -> Option<Value> {
+    match answers.get(question.key)? {
         Answer::Text(text) => Some(Value::String(text.clone())),
         Answer::Numbers(numbers) => {
             let number = numbers.get(place).or(numbers.last())?;
@@ -104,17 +120,7 @@ fn plain_lines(question: &Question, answers: &Answers) -> Vec<Line> {
                 Value::Float(*number)
             })
         }
-    };
-    let with_value =
-        question.sets.iter().enumerate().filter_map(|(place, sets)| Some((sets, value(place)?)));
-    with_value
-        .filter(|(sets, value)| sets.always || default_value(sets.key) != Some(value))
-        .map(|(sets, value)| Line {
-            key: sets.key,
-            value: value.to_string(),
-            comment: sets.comment.to_owned(),
-        })
-        .collect()
+    }
 }
 
 /// What the camera that was named offers.
@@ -203,18 +209,21 @@ fn endpoints(answers: &Answers) -> Vec<Line> {
 /// Kind and model of the scanner, and a time-out that is long enough for it.
 fn scanner(answers: &Answers) -> Vec<Line> {
     let name = answers.text("lidar").unwrap_or_default();
-    let text = |value: &str| Value::String(value.to_owned()).to_string();
     let is = "What the safety LiDAR is.";
     match (name, name.strip_prefix("rplidar-")) {
         (_, Some(model)) => {
-            let mut lines = vec![line("devices.lidar.kind", &text("rplidar"), is)];
-            lines.push(line("devices.lidar.rplidar.model", &text(model), "Its model."));
+            let mut lines = vec![line("devices.lidar.kind", &quoted("rplidar"), is)];
+            lines.push(line("devices.lidar.rplidar.model", &quoted(model), "Its model."));
             lines.extend(time_out(model));
             lines
         }
-        ("ld06", _) => vec![line("devices.lidar.kind", &text("ld06"), is)],
-        _ => vec![line("devices.lidar.model", &text(name), is)],
+        ("ld06", _) => vec![line("devices.lidar.kind", &quoted("ld06"), is)],
+        _ => vec![line("devices.lidar.model", &quoted(name), is)],
     }
+}
+
+fn quoted(value: &str) -> String {
+    Value::String(value.to_owned()).to_string()
 }
 
 /// A slow RPLIDAR needs a longer time-out than the default.
@@ -238,12 +247,23 @@ fn commissioning(found: &Found, before: Option<&toml::Table>) -> Option<&'static
 
 /// The files of a simulated robot: not every account may write those of a real one.
 fn files_in(folder: &Path) -> [Line; 3] {
-    let path = |name: &str| Value::String(folder.join(name).display().to_string());
     [
-        line("run.status_file", &path("status.json"), "Read by `health`."),
-        line("run.task_file", &path("task.json"), "Written by `go-to`, `return` and `resume`."),
-        line("run.stop_file", &path("last_stop.json"), "Remembers a stop that needs a person."),
+        line("run.status_file", &path_in(folder, "status.json"), "Read by `health`."),
+        line(
+            "run.task_file",
+            &path_in(folder, "task.json"),
+            "Written by `go-to`, `return` and `resume`.",
+        ),
+        line(
+            "run.stop_file",
+            &path_in(folder, "last_stop.json"),
+            "Remembers a stop that needs a person.",
+        ),
     ]
+}
+
+fn path_in(folder: &Path, name: &str) -> Value {
+    Value::String(folder.join(name).display().to_string())
 }
 
 fn line(key: &'static str, value: &impl ToString, comment: &str) -> Line {
@@ -438,14 +458,15 @@ mod tests {
         let real = Found::default();
         let simulated = Found { simulated: Some("/tmp/robot".into()), ..Found::default() };
         let before: toml::Table = "[run]\ncommissioning = \"by_hand\"".parse().unwrap();
-        let commissioning = |found: &Found, before: Option<&toml::Table>| {
-            let answers = defaults_with(&[], found);
-            parsed(&text(&answers, found, &Correction::default(), before)).run.commissioning
-        };
         assert_eq!(commissioning(&real, None), Commissioning::Measured);
         assert_eq!(commissioning(&real, Some(&toml::Table::new())), Commissioning::Measured);
         assert_eq!(commissioning(&real, Some(&before)), Commissioning::ByHand);
         assert_eq!(commissioning(&simulated, None), Commissioning::Unchecked);
+    }
+
+    fn commissioning(found: &Found, before: Option<&toml::Table>) -> Commissioning {
+        let answers = defaults_with(&[], found);
+        parsed(&text(&answers, found, &Correction::default(), before)).run.commissioning
     }
 
     #[test]

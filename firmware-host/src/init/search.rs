@@ -64,16 +64,13 @@ impl Places {
 
     fn port(&self, path: &Path, in_sys: &Path) -> FoundPort {
         let usb = usb_device(in_sys);
-        let number = |file| {
-            let text = attribute(usb.as_ref()?, file);
-            u16::from_str_radix(text.trim(), 16).ok()
-        };
-        let text = |file| usb.as_ref().map_or_else(String::new, |usb| attribute(usb, file));
-        let name = format!("{} {}", text("manufacturer").trim(), text("product").trim());
+        let usb = usb.as_deref();
+        let name =
+            format!("{} {}", usb_text(usb, "manufacturer").trim(), usb_text(usb, "product").trim());
         FoundPort {
             path: self.stable_name(path, &["dev/serial/by-id", "dev/serial/by-path"]),
             name: name.trim().to_owned(),
-            usb: number("idVendor").zip(number("idProduct")),
+            usb: usb_number(usb, "idVendor").zip(usb_number(usb, "idProduct")),
             problem: port_problem(path),
         }
     }
@@ -106,6 +103,15 @@ fn usb_device(in_sys: &Path) -> Option<PathBuf> {
     device.ancestors().find(|folder| folder.join("idVendor").exists()).map(Path::to_path_buf)
 }
 
+fn usb_text(usb: Option<&Path>, file: &str) -> String {
+    usb.map_or_else(String::new, |usb| attribute(usb, file))
+}
+
+fn usb_number(usb: Option<&Path>, file: &str) -> Option<u16> {
+    let text = attribute(usb?, file);
+    u16::from_str_radix(text.trim(), 16).ok()
+}
+
 fn port_problem(path: &Path) -> Option<String> {
     match access(path, Access::READ_OK | Access::WRITE_OK) {
         Ok(()) => None,
@@ -125,10 +131,6 @@ fn unopened(device: &str, name: &str) -> FoundCamera {
 /// The devices of `hil world`: two sockets, and a link to a pty.
 fn simulated(folder: &Path) -> Found {
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-    let socket = |name: &str| {
-        let path = folder.join(name);
-        path.exists().then(|| format!("unix:{}", path.display()))
-    };
     let port = folder.join("lidar");
     let port = port.exists().then(|| FoundPort {
         path: port.display().to_string(),
@@ -136,13 +138,22 @@ fn simulated(folder: &Path) -> Found {
         usb: None,
         problem: port_problem(&port),
     });
-    let bus = socket("can").map(|name| FoundBus { name, problem: None, senders: Vec::new() });
+    let bus =
+        socket_in(&folder, "can").map(|name| FoundBus { name, problem: None, senders: Vec::new() });
     Found {
-        cameras: socket("camera").iter().map(|device| unopened(device, "simulated")).collect(),
+        cameras: socket_in(&folder, "camera")
+            .iter()
+            .map(|device| unopened(device, "simulated"))
+            .collect(),
         ports: port.into_iter().collect(),
         buses: bus.into_iter().collect(),
         simulated: Some(folder),
     }
+}
+
+fn socket_in(folder: &Path, name: &str) -> Option<String> {
+    let path = folder.join(name);
+    path.exists().then(|| format!("unix:{}", path.display()))
 }
 
 #[cfg(test)]

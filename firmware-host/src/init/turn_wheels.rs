@@ -120,26 +120,27 @@ fn ask(dialogue: &mut Dialogue<'_>, side: Side) -> Result<Seen> {
 
 impl Seen {
     fn parse(text: &str) -> Result<Self, String> {
-        let wanted = || {
-            format!(
-                "`{text}` is not left or right, forward or back, and degrees from 1 to 3600, such as `left back 90`"
-            )
-        };
         let words: Vec<&str> = text.split_whitespace().collect();
-        let [wheel, way, degrees] = words[..] else { return Err(wanted()) };
+        let [wheel, way, degrees] = words[..] else { return Err(wanted(text)) };
         let wheel = match wheel {
             "left" | "l" => Side::Left,
             "right" | "r" => Side::Right,
-            _ => return Err(wanted()),
+            _ => return Err(wanted(text)),
         };
         let is_forward = match way {
             "forward" | "f" => true,
             "back" | "b" => false,
-            _ => return Err(wanted()),
+            _ => return Err(wanted(text)),
         };
         let degrees = degrees.parse().ok().filter(|degrees| (1.0..=3600.0).contains(degrees));
-        Ok(Self { wheel, is_forward, degrees: degrees.ok_or_else(wanted)? })
+        Ok(Self { wheel, is_forward, degrees: degrees.ok_or_else(|| wanted(text))? })
     }
+}
+
+fn wanted(text: &str) -> String {
+    format!(
+        "`{text}` is not left or right, forward or back, and degrees from 1 to 3600, such as `left back 90`"
+    )
 }
 
 impl Correction {
@@ -452,14 +453,18 @@ mod tests {
         let written = RefCell::new(Vec::new());
         let config = config(Protocol::Odrive);
         let configs = RefCell::new(Vec::new());
-        let write = |correction: &Correction| {
-            written.borrow_mut().push(*correction);
-            Ok(())
-        };
-        run_on(&mut dialogue, &config, &write, &mut |config| {
-            configs.borrow_mut().push(config.clone());
-            Rig::new(config)
-        })
+        run_on(
+            &mut dialogue,
+            &config,
+            &|correction: &Correction| {
+                written.borrow_mut().push(*correction);
+                Ok(())
+            },
+            &mut |config| {
+                configs.borrow_mut().push(config.clone());
+                Rig::new(config)
+            },
+        )
         .unwrap();
         let text = String::from_utf8(output).unwrap();
         assert!(text.contains("left and right are exchanged"), "{text}");

@@ -150,21 +150,22 @@ mod tests {
 
     /// Topics that the layout shows: keys and values that begin with a slash. A plot's path goes on with fields after a dot.
     fn topics_in(layout: &serde_json::Value, found: &mut Vec<String>) {
-        let mut note = |text: &str| {
-            let topic = text.split('.').next().filter(|text| text.starts_with('/'));
-            found.extend(topic.map(str::to_owned));
-        };
         match layout {
-            serde_json::Value::String(text) => note(text),
+            serde_json::Value::String(text) => note_topic(text, found),
             serde_json::Value::Array(values) => {
                 values.iter().for_each(|value| topics_in(value, found));
             }
             serde_json::Value::Object(values) => {
-                values.keys().for_each(|key| note(key));
+                values.keys().for_each(|key| note_topic(key, found));
                 values.values().for_each(|value| topics_in(value, found));
             }
             _ => {}
         }
+    }
+
+    fn note_topic(text: &str, found: &mut Vec<String>) {
+        let topic = text.split('.').next().filter(|text| text.starts_with('/'));
+        found.extend(topic.map(str::to_owned));
     }
 
     #[test]

@@ -30,15 +30,16 @@ mod tests {
 
     #[test]
     fn farther_is_darker_and_no_depth_is_grey() {
-        let luma = |depth_m| {
-            let [red, green, blue] = color(depth_m).map(f32::from);
-            0.2126 * red + 0.7152 * green + 0.0722 * blue
-        };
         let depths = [0.3, 0.5, 0.8, 1.3, 2.0, 3.0, 5.0, 8.0, 10.0];
         assert!(depths.windows(2).all(|pair| luma(pair[0]) > luma(pair[1])));
         for none in [0.0, -1.0, f32::NAN, f32::INFINITY] {
             assert_eq!(color(none), NONE);
         }
         assert_eq!([color(0.01), color(90.0)], [colors::depth(0.0), colors::depth(1.0)]);
+    }
+
+    fn luma(depth_m: f32) -> f32 {
+        let [red, green, blue] = color(depth_m).map(f32::from);
+        0.2126 * red + 0.7152 * green + 0.0722 * blue
     }
 }

@@ -12,7 +12,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::imageops::{FilterType, resize};
 use image::{ExtendedColorType, RgbImage};
 use live_link::frame;
-use runtime::recording::messages;
+use runtime::recording::{EventLog, messages};
 use serde::Serialize;
 
 use super::Mounts;
@@ -41,6 +41,7 @@ pub struct Encoder {
     mounts: Mounts,
     /// The health's time must not be before that of the messages before it.
     time_ns: u64,
+    events: EventLog,
     buffer: Vec<u8>,
 }
 
@@ -65,7 +66,14 @@ impl Encoder {
         mounts: Mounts,
         items: Receiver<Item>,
     ) -> Result<()> {
-        let mut encoder = Self { hub, config, mounts, time_ns: 0, buffer: Vec::new() };
+        let mut encoder = Self {
+            hub,
+            config,
+            mounts,
+            time_ns: 0,
+            events: EventLog::default(),
+            buffer: Vec::new(),
+        };
         std::thread::Builder::new().name("live".to_owned()).spawn(move || {
             // The niceness is that of this thread only. Without it the view is as important as the rest.
             let _ = rustix::process::nice(NICENESS);
@@ -117,8 +125,8 @@ impl Encoder {
         if let Some(areas_m) = &copy.areas_m {
             self.put(Topic::KeepOut, &keep_out_scene::scene(areas_m, time_ns));
         }
-        for event in &copy.events {
-            self.put(Topic::Events, &messages::log(event, time_ns));
+        for message in self.events.messages(&copy.events, time_ns) {
+            self.put(Topic::Events, &message);
         }
         if let Some(frame) = &copy.frame {
             self.image(Topic::Camera, frame.width, frame.height, frame.rgb.clone());
@@ -220,7 +228,17 @@ mod tests {
             t_base_laser: Pose3::identity(),
         };
         let config = LiveSection { image_columns, ..LiveSection::default() };
-        (Encoder { hub, config, mounts, time_ns: 0, buffer: Vec::new() }, outgoing)
+        (
+            Encoder {
+                hub,
+                config,
+                mounts,
+                time_ns: 0,
+                events: EventLog::default(),
+                buffer: Vec::new(),
+            },
+            outgoing,
+        )
     }
 
     fn messages_of(

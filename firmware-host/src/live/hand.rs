@@ -51,21 +51,21 @@ impl Hand {
 
 #[cfg(test)]
 mod tests {
+    use super::super::rate::tests::after_ms;
     use super::*;
 
     #[test]
     fn one_client_drives_until_it_has_been_silent_for_a_second() {
         let began = Instant::now();
-        let at = |ms| began + Duration::from_millis(ms);
         let mut hand = Hand::default();
-        assert_eq!(hand.take("anna", at(0)), Ok(true));
-        assert_eq!(hand.take("anna", at(100)), Ok(false));
-        assert!(hand.take("ben", at(200)).unwrap_err().contains("anna drives"));
-        assert_eq!(hand.take("anna", at(900)), Ok(false));
-        assert!(hand.take("ben", at(1800)).is_err());
-        assert_eq!(hand.take("ben", at(1900)), Ok(true));
-        assert!(hand.take("anna", at(2000)).unwrap_err().contains("ben drives"));
-        assert_eq!(hand.take("ben", at(5000)), Ok(true));
+        assert_eq!(hand.take("anna", after_ms(began, 0)), Ok(true));
+        assert_eq!(hand.take("anna", after_ms(began, 100)), Ok(false));
+        assert!(hand.take("ben", after_ms(began, 200)).unwrap_err().contains("anna drives"));
+        assert_eq!(hand.take("anna", after_ms(began, 900)), Ok(false));
+        assert!(hand.take("ben", after_ms(began, 1800)).is_err());
+        assert_eq!(hand.take("ben", after_ms(began, 1900)), Ok(true));
+        assert!(hand.take("anna", after_ms(began, 2000)).unwrap_err().contains("ben drives"));
+        assert_eq!(hand.take("ben", after_ms(began, 5000)), Ok(true));
     }
 
     #[test]

@@ -360,14 +360,13 @@ mod tests {
         let close = Order::KeepOut { corners_m: [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]] };
         let fixture = fixture(false);
         // The rate of orders is not what is tested here.
-        let take = |order: Order| fixture.handler.change_areas(order.area().unwrap());
         for _ in 0..MOST_AREAS {
-            assert!(take(close).unwrap().contains("until this run ends"));
+            assert!(change_areas(&fixture, close).unwrap().contains("until this run ends"));
             assert!(matches!(fixture.to_loop.try_recv(), Ok(LoopOrder::Area(_))));
         }
-        assert!(take(close).unwrap_err().contains("open them first"));
-        take(Order::OpenAreas).unwrap();
-        take(close).unwrap();
+        assert!(change_areas(&fixture, close).unwrap_err().contains("open them first"));
+        change_areas(&fixture, Order::OpenAreas).unwrap();
+        change_areas(&fixture, close).unwrap();
         let random = able(Abilities { keeps_map: true, plans_paths: false, ..PLANS });
         let answer = random.handler.take(&line(Role::Steer, close));
         assert!(!answer.accepted && answer.text.contains("plans no paths"), "{answer:?}");
@@ -375,19 +374,13 @@ mod tests {
 
     #[test]
     fn a_policy_without_paths_is_refused_while_areas_are_closed_and_no_area_is_closed_after_it() {
-        let by = |policy| Order::ExploreBy { policy };
         let close = Order::KeepOut { corners_m: [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]] };
         let fixture = fixture(false);
-        let accepts = |order| {
-            let answer = fixture.handler.take(&line(Role::Steer, order));
-            let _ = fixture.to_loop.try_recv();
-            answer.accepted
-        };
-        assert!(accepts(close) && accepts(by(PolicyKind::Frontier)));
-        assert!(!accepts(by(PolicyKind::Random)));
-        assert!(accepts(Order::OpenAreas) && accepts(by(PolicyKind::Random)));
-        assert!(!accepts(close));
-        assert!(accepts(by(PolicyKind::Active)) && accepts(close));
+        assert!(accepts(&fixture, close) && accepts(&fixture, by(PolicyKind::Frontier)));
+        assert!(!accepts(&fixture, by(PolicyKind::Random)));
+        assert!(accepts(&fixture, Order::OpenAreas) && accepts(&fixture, by(PolicyKind::Random)));
+        assert!(!accepts(&fixture, close));
+        assert!(accepts(&fixture, by(PolicyKind::Active)) && accepts(&fixture, close));
         let fenced = able(Abilities { keeps_out: true, ..PLANS });
         let answer = fenced.handler.take(&line(Role::Steer, by(PolicyKind::Forward)));
         assert!(!answer.accepted && answer.text.contains("`forward` plans no paths"), "{answer:?}");
@@ -397,10 +390,23 @@ mod tests {
             (Abilities { keeps_out: true, drawn: 3, ..PLANS }, false),
         ] {
             let drawn = able(can);
-            let take = |order| drawn.handler.take(&line(Role::Steer, order)).accepted;
-            assert!(!take(by(PolicyKind::Random)) && take(Order::OpenAreas));
-            assert_eq!(take(by(PolicyKind::Random)), is_free);
+            assert!(!accepts(&drawn, by(PolicyKind::Random)) && accepts(&drawn, Order::OpenAreas));
+            assert_eq!(accepts(&drawn, by(PolicyKind::Random)), is_free);
         }
+    }
+
+    fn change_areas(fixture: &Fixture, order: Order) -> Result<String, String> {
+        fixture.handler.change_areas(order.area().unwrap())
+    }
+
+    fn by(policy: PolicyKind) -> Order {
+        Order::ExploreBy { policy }
+    }
+
+    fn accepts(fixture: &Fixture, order: Order) -> bool {
+        let answer = fixture.handler.take(&line(Role::Steer, order));
+        let _ = fixture.to_loop.try_recv();
+        answer.accepted
     }
 
     #[test]

@@ -65,18 +65,21 @@ impl Bucket {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
+
+    pub(in crate::live) fn after_ms(began: Instant, ms: u64) -> Instant {
+        began + Duration::from_millis(ms)
+    }
 
     #[test]
     fn a_pulse_is_as_frequent_as_its_rate_and_no_burst_follows_a_pause() {
         let began = Instant::now();
         let mut pulse = Pulse::of_hz(5.0);
-        let at = |ms| began + Duration::from_millis(ms);
-        let due = (0..20).filter(|tick| pulse.is_due(at(tick * 100))).count();
+        let due = (0..20).filter(|tick| pulse.is_due(after_ms(began, tick * 100))).count();
         assert_eq!(due, 10);
-        assert!(pulse.is_due(at(60_000)));
-        assert!(!pulse.is_due(at(60_050)));
+        assert!(pulse.is_due(after_ms(began, 60_000)));
+        assert!(!pulse.is_due(after_ms(began, 60_050)));
     }
 
     #[test]

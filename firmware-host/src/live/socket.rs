@@ -53,8 +53,7 @@ impl Server {
             ends: Arc::clone(&ends),
             streams: Arc::clone(&streams),
         };
-        let work = move || accepting.run();
-        let thread = std::thread::Builder::new().name("live-accept".to_owned()).spawn(work)?;
+        let thread = thread_named("live-accept").spawn(move || accepting.run())?;
         Ok(Self { path: path.to_owned(), ends, streams, thread: Some(thread) })
     }
 }
@@ -77,31 +76,34 @@ impl Drop for Server {
 
 /// Opens the socket under a name that only this process knows, so that it never has other rights than its owner's.
 fn listen(path: &Path) -> Result<UnixListener> {
-    let named = || format!("cannot serve the live view at {}", path.display());
     match std::fs::symlink_metadata(path) {
         Ok(found) if !found.file_type().is_socket() => {
-            bail!("{}: there is a file that is not a socket; name another path", named())
+            bail!("{}: there is a file that is not a socket; name another path", cannot_serve(path))
         }
         Ok(_) if UnixStream::connect(path).is_ok() => {
-            bail!("{}: another robot serves it; name another path", named())
+            bail!("{}: another robot serves it; name another path", cannot_serve(path))
         }
         _ => {}
     }
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).with_context(named)?;
+        std::fs::create_dir_all(folder).with_context(|| cannot_serve(path))?;
     }
     let mut private = path.as_os_str().to_owned();
     private.push(format!(".{}", std::process::id()));
     let private = PathBuf::from(private);
     let _ = std::fs::remove_file(&private);
-    let listener = UnixListener::bind(&private).with_context(named)?;
+    let listener = UnixListener::bind(&private).with_context(|| cannot_serve(path))?;
     let opened = std::fs::set_permissions(&private, Permissions::from_mode(0o600))
         .and_then(|()| std::fs::rename(&private, path));
     if opened.is_err() {
         let _ = std::fs::remove_file(&private);
     }
-    opened.with_context(named)?;
+    opened.with_context(|| cannot_serve(path))?;
     Ok(listener)
+}
+
+fn cannot_serve(path: &Path) -> String {
+    format!("cannot serve the live view at {}", path.display())
 }
 
 /// What the thread that accepts owns.
@@ -139,11 +141,14 @@ impl Accepting {
         }
         let client_reader =
             ClientReader { client, hub: Arc::clone(&self.hub), handler: Arc::clone(&self.handler) };
-        let name = |what: &str| std::thread::Builder::new().name(format!("live-{what}"));
-        name("write").spawn(move || write(&stream, &outgoing))?;
-        name("read").spawn(move || client_reader.read(reader))?;
+        thread_named("live-write").spawn(move || write(&stream, &outgoing))?;
+        thread_named("live-read").spawn(move || client_reader.read(reader))?;
         Ok(())
     }
+}
+
+fn thread_named(name: &str) -> std::thread::Builder {
+    std::thread::Builder::new().name(name.to_owned())
 }
 
 /// A client's reading side.

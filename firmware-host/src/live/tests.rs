@@ -3,6 +3,7 @@
 use std::io::{Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixStream;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
@@ -99,20 +100,17 @@ fn the_socket_is_its_owners_alone_and_goes_with_the_server() {
 #[test]
 fn a_socket_that_another_robot_serves_and_a_file_are_left_alone() {
     let served = serve();
-    let start = |path: &std::path::Path| {
-        let handler = OrderHandler::new(
-            ControlPanel::default(),
-            sync_channel(1).0,
-            sync_channel(1).0,
-            CANNOT,
-        );
-        Server::start(path, Arc::default(), Arc::new(handler)).err().unwrap().to_string()
-    };
-    assert!(start(&served.dir.path().join("live.sock")).contains("another robot"));
+    assert!(refusal_to_serve(&served.dir.path().join("live.sock")).contains("another robot"));
     let file = served.dir.path().join("file");
     std::fs::write(&file, "mine").unwrap();
-    assert!(start(&file).contains("not a socket"));
+    assert!(refusal_to_serve(&file).contains("not a socket"));
     assert_eq!(std::fs::read_to_string(&file).unwrap(), "mine");
+}
+
+fn refusal_to_serve(path: &Path) -> String {
+    let handler =
+        OrderHandler::new(ControlPanel::default(), sync_channel(1).0, sync_channel(1).0, CANNOT);
+    Server::start(path, Arc::default(), Arc::new(handler)).err().unwrap().to_string()
 }
 
 #[test]

@@ -78,8 +78,10 @@ impl Copies {
         now: Now,
     ) -> TickCopy {
         let at = Instant::now();
-        let started = || ((unix_s() * 1e9) as u64).saturating_sub(input.time_ns);
-        let time_ns = *self.epoch_ns.get_or_insert_with(started) + input.time_ns;
+        let time_ns = *self
+            .epoch_ns
+            .get_or_insert_with(|| ((unix_s() * 1e9) as u64).saturating_sub(input.time_ns))
+            + input.time_ns;
         let mut copy = TickCopy {
             time_ns,
             now,

@@ -34,21 +34,21 @@ impl Watchers {
 
 #[cfg(test)]
 mod tests {
+    use super::super::rate::tests::after_ms;
     use super::*;
 
     #[test]
     fn a_robot_pauses_once_when_its_last_watcher_has_been_gone_for_the_time_and_never_before_one_came()
      {
         let began = Instant::now();
-        let at = |ms| began + Duration::from_millis(ms);
         let mut watchers = Watchers::new(2.0);
-        assert!(!watchers.are_gone(false, at(9000)));
-        assert!(!watchers.are_gone(true, at(10_000)));
-        assert!(!watchers.are_gone(false, at(11_999)));
-        assert!(watchers.are_gone(false, at(12_000)));
-        assert!(!watchers.are_gone(false, at(60_000)));
-        assert!(!watchers.are_gone(true, at(61_000)));
-        assert!(watchers.are_gone(false, at(63_000)));
+        assert!(!watchers.are_gone(false, after_ms(began, 9000)));
+        assert!(!watchers.are_gone(true, after_ms(began, 10_000)));
+        assert!(!watchers.are_gone(false, after_ms(began, 11_999)));
+        assert!(watchers.are_gone(false, after_ms(began, 12_000)));
+        assert!(!watchers.are_gone(false, after_ms(began, 60_000)));
+        assert!(!watchers.are_gone(true, after_ms(began, 61_000)));
+        assert!(watchers.are_gone(false, after_ms(began, 63_000)));
     }
 
     #[test]

@@ -148,16 +148,19 @@ fn assemble(entries: Vec<Entry>) -> Option<Log> {
             }
             Content::Odometry(_) => None,
         };
-        let to_ranges = |ranges: Vec<f64>| {
-            ranges.into_iter().map(|range| classify(range, range_max_m)).collect()
-        };
-        Line { time_s: entry.time_s, wheel, ranges: ranges.map(to_ranges) }
+        let ranges = ranges
+            .map(|ranges| ranges.into_iter().map(|range| classify(range, range_max_m)).collect());
+        Line { time_s: entry.time_s, wheel, ranges }
     });
     let lines = lines.collect();
     Some(Log { geometry, sweep_ns: 0, t_base_laser, wheels: None, odometry, lines, other_shape })
 }
 
 impl Entry {
+    fn is_scan(&self) -> bool {
+        matches!(self.content, Content::Scan(_))
+    }
+
     /// An ODOM line that holds what the wheels said, and no answer of another program.
     fn is_wheel_report(&self) -> bool {
         matches!(self.content, Content::Odometry(_)) && self.time_s != 0.0
@@ -169,8 +172,7 @@ impl Entry {
 }
 
 fn odometry_source(entries: &[Entry]) -> Odometry {
-    let is_scan = |entry: &Entry| matches!(entry.content, Content::Scan(_));
-    let corrected = entries.iter().skip_while(|entry| !is_scan(entry)).any(Entry::is_answer);
+    let corrected = entries.iter().skip_while(|entry| !entry.is_scan()).any(Entry::is_answer);
     let has_reports = entries.iter().any(Entry::is_wheel_report);
     match (corrected, has_reports) {
         (true, true) => Odometry::BetweenAnswers,
@@ -318,7 +320,6 @@ mod tests {
 
     #[test]
     fn a_wrong_value_is_named_with_its_line() {
-        let refused = |text: &str| parse(text.as_bytes()).unwrap_err();
         let bad = refused("# x\nODOM 0 0 nan 0 0 0 1 h 1");
         assert_eq!(bad.line, 2);
         assert_eq!(
@@ -328,6 +329,10 @@ mod tests {
         assert_eq!(refused("FLASER 3 1.0 2.0").reason, "range 3 of 3 is missing");
         let bad = refused("FLASER 99999999999 1");
         assert!(bad.reason.contains("not a whole number up to 100000"), "{}", bad.reason);
+    }
+
+    fn refused(text: &str) -> BadLine {
+        parse(text.as_bytes()).unwrap_err()
     }
 
     #[test]

@@ -136,8 +136,8 @@ impl Log {
 }
 
 fn text(path: &Path) -> Result<Vec<u8>, LogError> {
-    let unreadable = |source| LogError::Unreadable { path: path.to_path_buf(), source };
-    let bytes = std::fs::read(path).map_err(unreadable)?;
+    let bytes = std::fs::read(path)
+        .map_err(|source| LogError::Unreadable { path: path.to_path_buf(), source })?;
     if !bytes.starts_with(&[0x1f, 0x8b]) {
         return Ok(bytes);
     }

@@ -8,6 +8,7 @@ mod trajectory;
 mod urg;
 mod view;
 
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Result;
@@ -16,7 +17,7 @@ use serde::Serialize;
 
 use crate::cli::LocalizeArgs;
 use crate::report::another_run::refuse_run;
-use crate::report::atomic::{prepare_dir, write_atomically};
+use crate::report::atomic::{ReportError, prepare_dir, write_atomically};
 use crate::report::summary::SUMMARY_FILE;
 use log::Log;
 use track::Track;
@@ -59,17 +60,20 @@ pub fn run(args: &LocalizeArgs) -> Result<()> {
     }
     println!("odometry: {}", log.odometry);
     let track = track::track(&log, &LocalizationConfig::default())?;
-    let write = |name: &str, text: &str| write_atomically(&args.out.join(name), text.as_bytes());
-    write("trajectory.tum", &trajectory::tum(&log, &track.corrected))?;
-    write(ONLINE_FILE, &trajectory::tum(&log, &track.online))?;
+    write(&args.out, "trajectory.tum", &trajectory::tum(&log, &track.corrected))?;
+    write(&args.out, ONLINE_FILE, &trajectory::tum(&log, &track.online))?;
     let summary = summary(&track);
-    write(SUMMARY_FILE, &serde_json::to_string_pretty(&summary)?)?;
+    write(&args.out, SUMMARY_FILE, &serde_json::to_string_pretty(&summary)?)?;
     view::draw(&log, &track.corrected).write_png(&args.out.join("map.png"))?;
     println!(
         "{} scans, {:.1} m, {} closures, {:.2} ms a scan",
         summary.scans, summary.path_m, summary.closures, summary.scan_ms.p50
     );
     Ok(())
+}
+
+fn write(folder: &Path, name: &str, text: &str) -> Result<(), ReportError> {
+    write_atomically(&folder.join(name), text.as_bytes())
 }
 
 fn summary(track: &Track) -> Summary {

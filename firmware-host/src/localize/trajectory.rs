@@ -31,7 +31,6 @@ mod tests {
 
     #[test]
     fn every_line_has_its_time_and_a_rotation_about_the_vertical() {
-        let line = |time_s| Line { time_s, wheel: Pose2::IDENTITY, ranges: None };
         let log = Log {
             geometry: ScanGeometry::UTM_30LX,
             t_base_laser: Pose2::IDENTITY,
@@ -46,6 +45,10 @@ mod tests {
         let expected = "1.5 0.000000 0.000000 0 0 0 0.000000000 1.000000000\n\
                         0 1.000000 -2.000000 0 0 0 0.707106781 0.707106781\n";
         assert_eq!(text, expected);
+    }
+
+    fn line(time_s: f64) -> Line {
+        Line { time_s, wheel: Pose2::IDENTITY, ranges: None }
     }
 
     #[test]

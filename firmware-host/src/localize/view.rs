@@ -39,14 +39,9 @@ impl View {
         }
         let [width_m, height_m] = [0, 1].map(|axis| (high[axis] - low[axis]).max(1.0));
         let pixels_per_m = ((SIDE_PX - 2.0 * MARGIN_PX) / width_m.max(height_m)).min(100.0);
-        let pixels = |metres: f64| (metres * pixels_per_m + 2.0 * MARGIN_PX).ceil() as usize;
-        Self {
-            x_min_m: low[0],
-            y_max_m: high[1],
-            pixels_per_m,
-            width: pixels(width_m),
-            height: pixels(height_m),
-        }
+        let [width, height] = [width_m, height_m]
+            .map(|metres| (metres * pixels_per_m + 2.0 * MARGIN_PX).ceil() as usize);
+        Self { x_min_m: low[0], y_max_m: high[1], pixels_per_m, width, height }
     }
 
     fn pixel(&self, point: [f64; 2]) -> [f64; 2] {
@@ -122,7 +117,6 @@ mod tests {
     #[test]
     fn a_hit_is_drawn_where_the_beam_ended() {
         let geometry = ScanGeometry { beams: 1, angle_min_rad: 0.0, ..ScanGeometry::UTM_30LX };
-        let line = |ranges| Line { time_s: 1.0, wheel: Pose2::IDENTITY, ranges };
         let log = Log {
             geometry,
             t_base_laser: Pose2::IDENTITY,
@@ -138,5 +132,9 @@ mod tests {
         // The view spans 1 x 2 m at 100 pixels per metre; the hit is in its upper right corner.
         assert_ne!(canvas.get(130, 30), Some(PAPER));
         assert_eq!(canvas.get(80, 30), Some(PAPER));
+    }
+
+    fn line(ranges: Option<Vec<Range>>) -> Line {
+        Line { time_s: 1.0, wheel: Pose2::IDENTITY, ranges }
     }
 }

@@ -95,7 +95,6 @@ mod tests {
     fn areas_come_back_in_the_next_run_bit_for_bit_until_they_are_opened() {
         let dir = tempfile::tempdir().unwrap();
         let map = dir.path().join("home.map");
-        let close = |corners_m| AreaChange::Close { corners_m };
         let mut areas = DrawnAreas::beside(&map).unwrap();
         assert_eq!(areas.changes().count(), 0);
         areas.change(close(SQUARE)).unwrap();
@@ -104,6 +103,10 @@ mod tests {
         assert_eq!(again.changes().collect::<Vec<_>>(), [close(SQUARE), close(LINE)]);
         again.change(AreaChange::OpenAll).unwrap();
         assert_eq!(DrawnAreas::beside(&map).unwrap().changes().count(), 0);
+    }
+
+    fn close(corners_m: Corners) -> AreaChange {
+        AreaChange::Close { corners_m }
     }
 
     #[test]

@@ -28,6 +28,8 @@ pub const MAP_FILE_VERSION: u32 = 1;
 
 const DIGEST_BYTES: usize = 32;
 
+const TRUNCATED: &str = "it is truncated";
+
 /// Largest map state: a grid of 4096 x 4096 cells that is being recomposed has 185 MiB, 4,096 submaps have 40 MiB.
 const MOST_STATE_BYTES: u64 = 512 << 20;
 
@@ -101,8 +103,8 @@ impl MapFile {
     /// # Errors
     /// When it cannot be read, is not a map, or is damaged.
     pub fn read(path: &Path) -> Result<Self, MapFileError> {
-        let unreadable = |source| MapFileError::Unreadable { path: path.to_owned(), source };
-        let bytes = std::fs::read(path).map_err(unreadable)?;
+        let bytes = std::fs::read(path)
+            .map_err(|source| MapFileError::Unreadable { path: path.to_owned(), source })?;
         Self::decode(&bytes, path)
     }
 
@@ -136,30 +138,34 @@ impl MapFile {
     /// # Errors
     /// When they are not those of a map, or damaged.
     pub fn decode(bytes: &[u8], path: &Path) -> Result<Self, MapFileError> {
-        let damaged = |what| MapFileError::Damaged { path: path.to_owned(), what };
-        let cut = || damaged("it is truncated");
         let Some(rest) = bytes.strip_prefix(&MAGIC) else {
             return Err(MapFileError::NotAMap { path: path.to_owned() });
         };
-        let (version, rest) = rest.split_first_chunk().ok_or_else(cut)?;
+        let (version, rest) = rest.split_first_chunk().ok_or_else(|| damaged(path, TRUNCATED))?;
         let found = u32::from_le_bytes(*version);
         if found != MAP_FILE_VERSION {
             return Err(MapFileError::Version { path: path.to_owned(), found });
         }
-        let (digest, content) = rest.split_first_chunk::<DIGEST_BYTES>().ok_or_else(cut)?;
+        let (digest, content) =
+            rest.split_first_chunk::<DIGEST_BYTES>().ok_or_else(|| damaged(path, TRUNCATED))?;
         if blake3::hash(content) != *digest {
-            return Err(damaged("its digest is not that of its content"));
+            return Err(damaged(path, "its digest is not that of its content"));
         }
-        let (length, rest) = content.split_first_chunk().ok_or_else(cut)?;
+        let (length, rest) = content.split_first_chunk().ok_or_else(|| damaged(path, TRUNCATED))?;
         let length = u32::from_le_bytes(*length) as usize;
-        let (about, packed) = rest.split_at_checked(length).ok_or_else(cut)?;
+        let (about, packed) =
+            rest.split_at_checked(length).ok_or_else(|| damaged(path, TRUNCATED))?;
         let about = serde_json::from_slice(about)
-            .map_err(|_| damaged("its description is not that of a map"))?;
+            .map_err(|_| damaged(path, "its description is not that of a map"))?;
         let mut state = Vec::new();
         let unpacked = DeflateDecoder::new(packed).take(MOST_STATE_BYTES).read_to_end(&mut state);
-        unpacked.map_err(|_| damaged("its content cannot be unpacked"))?;
+        unpacked.map_err(|_| damaged(path, "its content cannot be unpacked"))?;
         Ok(Self { about, state })
     }
+}
+
+fn damaged(path: &Path, what: &'static str) -> MapFileError {
+    MapFileError::Damaged { path: path.to_owned(), what }
 }
 
 #[cfg(test)]

@@ -135,13 +135,13 @@ impl KeptMap {
         let about = About::now(self.scanner_height_m);
         let file = MapFile { about, state: robot.map_state() };
         let path = self.path.clone();
-        let write = move || {
-            if let Err(error) = file.write(&path) {
-                tracing::error!("the map is not saved: {error}");
-            }
-        };
         self.finish_writing();
-        self.writing = Some(std::thread::Builder::new().name("map".to_owned()).spawn(write)?);
+        self.writing =
+            Some(std::thread::Builder::new().name("map".to_owned()).spawn(move || {
+                if let Err(error) = file.write(&path) {
+                    tracing::error!("the map is not saved: {error}");
+                }
+            })?);
         Ok(())
     }
 

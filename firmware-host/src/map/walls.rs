@@ -46,11 +46,10 @@ struct Labels {
 
 impl Labels {
     fn of(cells: &KnownCells) -> Self {
-        let occupied = |cell: &CellState| u32::from(*cell == CellState::Occupied);
         Self {
             width: cells.width as i64,
             height: cells.height() as i64,
-            label: cells.cells.iter().map(occupied).collect(),
+            label: cells.cells.iter().map(|cell| u32::from(*cell == CellState::Occupied)).collect(),
             groups: 1,
             next: 0,
         }
@@ -131,11 +130,10 @@ fn take_edge(
     direction: Corner,
 ) -> Option<Corner> {
     let ends = edges.get_mut(&from)?;
-    let left = |end: &Corner| {
-        let next = difference(*end, from);
+    let leftmost = (0..ends.len()).max_by_key(|at| {
+        let next = difference(ends[*at], from);
         direction[0] * next[1] - direction[1] * next[0]
-    };
-    let leftmost = (0..ends.len()).max_by_key(|at| left(&ends[*at]))?;
+    })?;
     let end = ends.swap_remove(leftmost);
     if ends.is_empty() {
         edges.remove(&from);
@@ -154,24 +152,26 @@ fn doubled_area(ring: &[Corner]) -> i64 {
 
 /// The simplified ring in metres, closed.
 fn in_metres(ring: &[Corner], cells: &KnownCells) -> Vec<[f64; 2]> {
-    let place = |corner: &Corner| {
-        [0, 1].map(|axis| {
-            let metres = cells.origin_m[axis] + corner[axis] as f64 * cells.resolution_m;
-            (metres * 1e4).round() / 1e4
+    simplified(ring)
+        .iter()
+        .map(|corner| {
+            [0, 1].map(|axis| {
+                let metres = cells.origin_m[axis] + corner[axis] as f64 * cells.resolution_m;
+                (metres * 1e4).round() / 1e4
+            })
         })
-    };
-    simplified(ring).iter().map(place).collect()
+        .collect()
 }
 
 /// Leaves out corners that are nearer than a cell to the line between those that stay (Douglas and Peucker 1973). The two ends
 /// of the ring's longest chord stay; a ring that would become flat keeps all its corners.
 fn simplified(ring: &[Corner]) -> Vec<Corner> {
     let first = ring[0];
-    let distance2 = |corner: &Corner| {
-        let [x, y] = difference(*corner, first);
+    let farthest = (0..ring.len()).max_by_key(|at| {
+        let [x, y] = difference(ring[*at], first);
         x * x + y * y
-    };
-    let middle = (0..ring.len()).max_by_key(|at| distance2(&ring[*at])).unwrap_or(0);
+    });
+    let middle = farthest.unwrap_or(0);
     let mut kept = vec![first];
     keep_corners(&ring[..=middle], &mut kept);
     keep_corners(&ring[middle..], &mut kept);
@@ -181,21 +181,22 @@ fn simplified(ring: &[Corner]) -> Vec<Corner> {
 /// Appends the corners of a line that stay, without its first.
 fn keep_corners(line: &[Corner], kept: &mut Vec<Corner>) {
     let (Some(first), Some(last)) = (line.first(), line.last()) else { return };
-    let [dx, dy] = difference(*last, *first);
-    // Distance from the line times its length.
-    let off = |corner: &Corner| {
-        let [x, y] = difference(*corner, *first);
-        (x * dy - y * dx).abs()
-    };
-    let farthest = (1..line.len().saturating_sub(1)).max_by_key(|at| off(&line[*at]));
-    let length2 = dx * dx + dy * dy;
-    match farthest.filter(|at| off(&line[*at]) * off(&line[*at]) >= length2) {
+    let way = difference(*last, *first);
+    let farthest = (1..line.len().saturating_sub(1)).max_by_key(|at| off(line[*at], *first, way));
+    let length2 = way[0] * way[0] + way[1] * way[1];
+    match farthest.filter(|at| off(line[*at], *first, way).pow(2) >= length2) {
         Some(at) => {
             keep_corners(&line[..=at], kept);
             keep_corners(&line[at..], kept);
         }
         None => kept.push(*last),
     }
+}
+
+/// The distance of a corner from the line through `first` along `way`, times the length of `way`.
+fn off(corner: Corner, first: Corner, way: Corner) -> i64 {
+    let [x, y] = difference(corner, first);
+    (x * way[1] - y * way[0]).abs()
 }
 
 /// Leaves out the corners at which a ring goes straight on.
@@ -220,13 +221,16 @@ mod tests {
 
     /// Rows from top to bottom; `#` is occupied.
     fn cells(rows: &[&str]) -> KnownCells {
-        let state = |byte: u8| if byte == b'#' { CellState::Occupied } else { CellState::Free };
         KnownCells {
             width: rows[0].len(),
             cells: rows.iter().rev().flat_map(|row| row.bytes().map(state)).collect(),
             resolution_m: 0.5,
             origin_m: [10.0, -1.0],
         }
+    }
+
+    fn state(byte: u8) -> CellState {
+        if byte == b'#' { CellState::Occupied } else { CellState::Free }
     }
 
     fn outlines(cells: &KnownCells) -> Vec<Vec<Vec<[f64; 2]>>> {

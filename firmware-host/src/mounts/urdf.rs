@@ -49,9 +49,6 @@ impl Urdf {
     fn parse(text: &str) -> Result<Self> {
         let document = Document::parse(text).context("it is not XML")?;
         let robot = document.root_element();
-        let is_xacro = |node: Node<'_, '_>| {
-            node.tag_name().namespace().is_some_and(|namespace| namespace.contains("xacro"))
-        };
         ensure!(
             !robot.descendants().any(is_xacro),
             "it is a xacro file: convert it by `xacro FILE > robot.urdf` first"
@@ -101,6 +98,10 @@ impl Urdf {
     }
 }
 
+fn is_xacro(node: Node<'_, '_>) -> bool {
+    node.tag_name().namespace().is_some_and(|namespace| namespace.contains("xacro"))
+}
+
 fn elements<'a>(parent: Node<'a, 'a>, name: &'static str) -> impl Iterator<Item = Node<'a, 'a>> {
     parent.children().filter(move |node| node.has_tag_name(name))
 }
@@ -113,18 +114,22 @@ fn text_of(node: Node<'_, '_>, attribute: &str) -> Result<String> {
 
 fn joint(node: Node<'_, '_>) -> Result<Joint> {
     let name = text_of(node, "name")?;
-    let of_joint = || format!("joint `{name}`");
-    let end = |tag| {
-        let end = elements(node, tag).next().with_context(|| format!("it has no <{tag}>"))?;
-        text_of(end, "link")
-    };
+    joint_named(&name, node).with_context(|| format!("joint `{name}`"))
+}
+
+fn joint_named(name: &str, node: Node<'_, '_>) -> Result<Joint> {
     Ok(Joint {
-        parent: end("parent").with_context(of_joint)?,
-        child: end("child").with_context(of_joint)?,
-        moves: text_of(node, "type").with_context(of_joint)? != "fixed",
-        t_parent_child: origin(node).with_context(of_joint)?,
-        name,
+        parent: link_of(node, "parent")?,
+        child: link_of(node, "child")?,
+        moves: text_of(node, "type")? != "fixed",
+        t_parent_child: origin(node)?,
+        name: name.to_owned(),
     })
+}
+
+fn link_of(joint: Node<'_, '_>, tag: &'static str) -> Result<String> {
+    let end = elements(joint, tag).next().with_context(|| format!("it has no <{tag}>"))?;
+    text_of(end, "link")
 }
 
 /// The pose of the element's `<origin>`: metres, and rotations about the fixed axes x, y and z in this order, radians.
@@ -201,7 +206,6 @@ mod tests {
 
     #[test]
     fn what_is_no_urdf_is_refused_with_what_is_wrong() {
-        let refused = |text: &str| format!("{:#}", Urdf::parse(text).unwrap_err());
         assert!(refused("[camera]").contains("not XML"));
         assert!(refused("<sdf/>").contains("<sdf>, and must be <robot>"));
         let xacro = "<robot xmlns:xacro=\"http://www.ros.org/wiki/xacro\"><xacro:arm/></robot>";
@@ -213,5 +217,9 @@ mod tests {
         }
         assert!(error(&MAST.replace("parent", "from"), "mast").contains("it has no <parent>"));
         assert!(error(&MAST.replace("rpy", "quat_xyzw"), "mast").contains("write `rpy`"));
+    }
+
+    fn refused(text: &str) -> String {
+        format!("{:#}", Urdf::parse(text).unwrap_err())
     }
 }

@@ -86,11 +86,11 @@ mod tests {
 
     #[test]
     fn a_segment_that_is_kept_is_removed_as_well_when_it_is_too_old() {
-        let keep = |buffer: &Path| {
+        let left = left_after(1, |buffer| {
             let mark = buffer.join("a").join(format!("{}{KEEP}", segment_name(0)));
             std::fs::write(mark, "").unwrap();
-        };
-        assert_eq!(left_after(1, keep), ["a/recording_0002.mcap"]);
+        });
+        assert_eq!(left, ["a/recording_0002.mcap"]);
     }
 
     #[test]

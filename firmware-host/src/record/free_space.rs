@@ -247,19 +247,11 @@ pub(super) mod tests {
     fn pulled_segments_are_removed_before_others_and_kept_segments_never() {
         let buffer = tempfile::tempdir().unwrap();
         recorded(buffer.path(), "a", 4, None);
-        let path = |number, mark: &str| {
-            buffer.path().join("a").join(format!("{}{mark}", segment_name(number)))
-        };
-        let pulled = |number, bytes| {
-            let modified_ns = catalogue(buffer.path())[number as usize].modified_ns;
-            let text =
-                format!("{} {bytes} {modified_ns}\n", segment_store::Digest::of(b"as it was"));
-            std::fs::write(path(number, PULLED), text).unwrap();
-        };
-        pulled(3, path(3, "").metadata().unwrap().len());
+        let whole = segment_path(buffer.path(), 3, "").metadata().unwrap().len();
+        mark_pulled(buffer.path(), 3, whole);
         // It has grown since.
-        pulled(2, 1);
-        std::fs::write(path(0, segment_store::KEEP), "").unwrap();
+        mark_pulled(buffer.path(), 2, 1);
+        std::fs::write(segment_path(buffer.path(), 0, KEEP), "").unwrap();
         let removed = free_space(
             &mut NearlyFull { free: 0, each: 10, total: u64::MAX },
             &quota(buffer.path(), 15),
@@ -277,6 +269,16 @@ pub(super) mod tests {
             !buffer.path().join("a/recording_0003.mcap.pulled").exists(),
             "the mark is removed with its segment"
         );
+    }
+
+    fn segment_path(buffer: &Path, number: u32, mark: &str) -> PathBuf {
+        buffer.join("a").join(format!("{}{mark}", segment_name(number)))
+    }
+
+    fn mark_pulled(buffer: &Path, number: u32, bytes: u64) {
+        let modified_ns = catalogue(buffer)[number as usize].modified_ns;
+        let text = format!("{} {bytes} {modified_ns}\n", segment_store::Digest::of(b"as it was"));
+        std::fs::write(segment_path(buffer, number, PULLED), text).unwrap();
     }
 
     #[test]

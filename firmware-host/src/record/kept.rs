@@ -104,8 +104,9 @@ mod tests {
     }
 
     fn kept(run: &Path) -> Vec<u32> {
-        let mark = |segment| run.join(format!("{}{KEEP}", segment_name(segment)));
-        (0..6).filter(|segment| mark(*segment).exists()).collect()
+        (0..6)
+            .filter(|number| run.join(format!("{}{KEEP}", segment_name(*number))).exists())
+            .collect()
     }
 
     /// The segments that a robot keeps when these events happen.

@@ -417,13 +417,16 @@ fn lock(status: &Mutex<RecorderStatus>) -> MutexGuard<'_, RecorderStatus> {
 /// # Errors
 /// When the folder holds a recording, or cannot be read.
 pub fn refuse_old_recording(dir: &Path) -> Result<(), RecordError> {
-    let error = |source| RecordError::Directory { dir: dir.to_owned(), source };
-    private::create_folder(dir).map_err(error)?;
-    for entry in std::fs::read_dir(dir).map_err(error)? {
-        let entry = entry.map_err(error)?;
+    private::create_folder(dir).map_err(|source| unusable(dir, source))?;
+    for entry in std::fs::read_dir(dir).map_err(|source| unusable(dir, source))? {
+        let entry = entry.map_err(|source| unusable(dir, source))?;
         if entry.file_name().to_str().is_some_and(is_segment_name) {
             return Err(RecordError::HoldsRecording { path: entry.path() });
         }
     }
     Ok(())
+}
+
+fn unusable(dir: &Path, source: std::io::Error) -> RecordError {
+    RecordError::Directory { dir: dir.to_owned(), source }
 }

@@ -22,12 +22,13 @@ pub(crate) fn run_header() -> RunHeader {
 /// A tick of a 10 Hz run with an image that does not compress.
 pub(crate) fn some_tick(tick: u64) -> RecordedTick {
     let mut state = tick.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
-    let mut byte = || {
+    let bytes = (0..32 * 8 * 3).map(|_| {
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
         (state >> 32) as u8
-    };
+    });
+    let frame = RgbImage { width: 32, height: 8, rgb: bytes.collect() };
     let time_ns = tick * 100_000_000;
     let decision = Decision {
         tick,
@@ -45,11 +46,7 @@ pub(crate) fn some_tick(tick: u64) -> RecordedTick {
         map_digest: 0,
     };
     RecordedTick {
-        frame: Some(RgbImage {
-            width: 32,
-            height: 8,
-            rgb: (0..32 * 8 * 3).map(|_| byte()).collect(),
-        }),
+        frame: Some(frame),
         decision: Some(decision),
         ..RecordedTick::new(tick, time_ns)
     }
@@ -84,12 +81,15 @@ fn the_recording_of_a_robot_is_for_its_account_only() {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("runs/monday");
     record(RecorderOptions { segment_ns: 2_000_000_000, ..RecorderOptions::robot(&run) }, 15);
-    let mode = |path: &Path| path.metadata().unwrap().permissions().mode() & 0o777;
     assert_eq!(mode(&run), 0o700);
     for segment in std::fs::read_dir(&run).unwrap() {
         let path = segment.unwrap().path();
         assert_eq!(mode(&path), 0o600, "{}", path.display());
     }
+}
+
+fn mode(path: &Path) -> u32 {
+    path.metadata().unwrap().permissions().mode() & 0o777
 }
 
 #[test]
@@ -163,8 +163,8 @@ fn the_same_run_gives_the_same_files() {
     let b = tempfile::tempdir().unwrap();
     record(RecorderOptions::simulation(a.path()), 40);
     record(RecorderOptions::simulation(b.path()), 40);
-    let bytes = |dir: &Path| std::fs::read(dir.join(segment_name(0))).unwrap();
-    assert!(bytes(a.path()) == bytes(b.path()));
+    let [one, other] = [a, b].map(|dir| std::fs::read(dir.path().join(segment_name(0))).unwrap());
+    assert!(one == other);
 }
 
 #[test]

@@ -310,13 +310,12 @@ pub fn open_segment(path: &Path) -> Result<RecordingReader<BufReader<File>>, Rep
 /// # Errors
 /// When the directory cannot be read.
 pub fn segments(path: &Path) -> Result<Vec<PathBuf>, ReplayError> {
-    let error = |source| ReplayError::Open { path: path.to_owned(), source };
-    if !std::fs::metadata(path).map_err(error)?.is_dir() {
+    if !std::fs::metadata(path).map_err(|source| unreadable(path, source))?.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
     let mut found = Vec::new();
-    for entry in std::fs::read_dir(path).map_err(error)? {
-        let entry = entry.map_err(error)?;
+    for entry in std::fs::read_dir(path).map_err(|source| unreadable(path, source))? {
+        let entry = entry.map_err(|source| unreadable(path, source))?;
         if entry.file_name().to_str().is_some_and(is_segment_name) {
             found.push(entry.path());
         }
@@ -324,4 +323,8 @@ pub fn segments(path: &Path) -> Result<Vec<PathBuf>, ReplayError> {
     // Sorted by length first, because segment 10000 follows segment 9999.
     found.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
     Ok(found)
+}
+
+fn unreadable(path: &Path, source: io::Error) -> ReplayError {
+    ReplayError::Open { path: path.to_owned(), source }
 }

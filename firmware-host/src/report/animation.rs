@@ -335,42 +335,41 @@ mod tests {
 
     #[test]
     fn an_animation_that_is_too_large_loses_every_second_image_but_never_the_last() {
-        let drawn = |count| (0..count).map(|index| Canvas::new(index + 1, 1, PAGE)).collect();
-        let widths = |images: Vec<Canvas>| -> Vec<u32> {
-            every_second(images).iter().map(|image| image.size().0).collect()
-        };
-        assert_eq!(widths(drawn(5)), [1, 3, 5]);
-        assert_eq!(widths(drawn(4)), [2, 4]);
-        assert_eq!(widths(drawn(1)), [1]);
+        assert_eq!(widths_left_of(5), [1, 3, 5]);
+        assert_eq!(widths_left_of(4), [2, 4]);
+        assert_eq!(widths_left_of(1), [1]);
+    }
+
+    /// The widths of the images that are left of so many, each one pixel wider than the one before.
+    fn widths_left_of(count: u32) -> Vec<u32> {
+        let images = (1..=count).map(|width| Canvas::new(width, 1, PAGE)).collect();
+        every_second(images).iter().map(|image| image.size().0).collect()
     }
 
     #[test]
     fn noise_of_any_strength_fits_into_the_largest_file() {
         let dir = tempfile::tempdir().unwrap();
         let mut seed = 1_u32;
-        let mut noise = move || {
-            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            seed.to_be_bytes()
-        };
-        let noisy = |index| {
-            let mut shot = shot(index);
-            shot.row.width = 320;
-            shot.row.height = 96;
-            shot.row.rgb = (0..320 * 96)
-                .map(|_| {
-                    let [r, g, b, _] = noise();
-                    [r, g, b]
-                })
-                .collect();
-            shot
-        };
-        let shots: Vec<Shot> = (0..SHOTS).map(noisy).collect();
+        let shots: Vec<Shot> = (0..SHOTS).map(|frame| noisy(frame, &mut seed)).collect();
         animation(&shots, &[]).write(dir.path()).unwrap();
         let path = dir.path().join(ANIMATION_FILE);
         assert!(std::fs::metadata(&path).unwrap().len() <= MAX_BYTES as u64);
         let kept = images(&path);
         assert!(kept.len() >= 15 && kept.len() < SHOTS as usize, "{}", kept.len());
         assert!(kept[0].0 >= 200, "shown for longer instead");
+    }
+
+    fn noisy(frame: u64, seed: &mut u32) -> Shot {
+        let mut shot = shot(frame);
+        shot.row.width = 320;
+        shot.row.height = 96;
+        let pixels = (0..320 * 96).map(|_| {
+            *seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let [r, g, b, _] = seed.to_be_bytes();
+            [r, g, b]
+        });
+        shot.row.rgb = pixels.collect();
+        shot
     }
 
     #[test]

@@ -102,8 +102,10 @@ mod tests {
     fn missing_depth_is_never_a_colour_of_the_scale() {
         for step in 0..=1000 {
             let color = colors::depth(f64::from(step) / 1000.0);
-            let differs = |grey: Rgb| grey.iter().zip(color).any(|(a, b)| a.abs_diff(b) > 60);
-            assert!(NO_DEPTH.into_iter().all(differs), "{color:?}");
+            for grey in NO_DEPTH {
+                let differs = grey.iter().zip(color).any(|(a, b)| a.abs_diff(b) > 60);
+                assert!(differs, "{color:?}");
+            }
         }
     }
 

@@ -135,19 +135,22 @@ impl DepthSheet<'_> {
 
     /// The columns for which at least one row has data.
     fn columns(&self) -> Vec<Column> {
-        let has = |of: fn(&SheetRow) -> bool| self.rows.iter().any(of);
-        let truth = has(|row| row.truth.is_some());
+        let truth = self.has(|row| row.truth.is_some());
         let depth = self.evaluated_column().is_some();
         let shown = [
             (Column::Camera, true),
-            (Column::Coarse, has(|row| row.coarse.is_some())),
-            (Column::Dense, has(|row| row.dense.is_some())),
-            (Column::Network, has(|row| row.network.is_some())),
+            (Column::Coarse, self.has(|row| row.coarse.is_some())),
+            (Column::Dense, self.has(|row| row.dense.is_some())),
+            (Column::Network, self.has(|row| row.network.is_some())),
             (Column::Confidence, depth),
             (Column::Truth, truth),
             (Column::Error, truth && depth),
         ];
         shown.into_iter().filter(|(_, shown)| *shown).map(|(column, _)| column).collect()
+    }
+
+    fn has(&self, of: fn(&SheetRow) -> bool) -> bool {
+        self.rows.iter().any(of)
     }
 
     /// The column whose probability and error are shown: the last one that has depth in any row.

@@ -120,10 +120,13 @@ mod tests {
         for columns in 20..100 {
             let fitted = text(line, Some(columns));
             assert!(fitted.lines().all(|line| line.chars().count() <= columns), "{fitted}");
-            let words = |text: &str| text.split_whitespace().map(str::to_owned).collect::<Vec<_>>();
             assert_eq!(words(&fitted), words(line));
         }
         assert_eq!(text(line, None), line);
+    }
+
+    fn words(text: &str) -> Vec<&str> {
+        text.split_whitespace().collect()
     }
 
     #[test]

@@ -23,15 +23,17 @@ impl KnownCells {
     pub fn of(map: &OccupancyGrid) -> Option<Self> {
         let known = map.known_box()?;
         let rows = known.min.y..=known.max.y;
-        let row = |y| (known.min.x..=known.max.x).map(move |x| map.state(Cell::new(x, y)));
         let resolution_m = map.cell_m();
         // Rounded to micrometres: -167 * 0.03 is -5.01, without the last digits of a product of floats.
-        let corner_m = |cell| (f64::from(cell) * resolution_m * 1e6).round() / 1e6;
+        let origin_m = [known.min.x, known.min.y]
+            .map(|cell| (f64::from(cell) * resolution_m * 1e6).round() / 1e6);
         Some(Self {
             width: known.width(),
-            cells: rows.flat_map(row).collect(),
+            cells: rows
+                .flat_map(|y| (known.min.x..=known.max.x).map(move |x| map.state(Cell::new(x, y))))
+                .collect(),
             resolution_m,
-            origin_m: [corner_m(known.min.x), corner_m(known.min.y)],
+            origin_m,
         })
     }
 

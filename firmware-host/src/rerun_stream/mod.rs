@@ -142,11 +142,14 @@ mod tests {
     #[test]
     fn a_slow_viewer_drops_moments_and_never_blocks_the_loop() {
         let (release, wait) = sync_channel::<()>(0);
-        let blocked = move |_: &Moment| {
-            let _ = wait.recv();
-            0
-        };
-        let mut stream = RerunStream::with(blocked, 2).unwrap();
+        let mut stream = RerunStream::with(
+            move |_: &Moment| {
+                let _ = wait.recv();
+                0
+            },
+            2,
+        )
+        .unwrap();
         for tick in 0..50 {
             stream.offer(Moment { tick, ..Moment::default() });
         }

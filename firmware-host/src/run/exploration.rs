@@ -5,7 +5,6 @@ use std::time::Instant;
 use anyhow::Result;
 use drivers::DeviceStatus;
 use hal::{Clock, Pose2, WheelFeedback};
-use runtime::calibration_watch::Change;
 use runtime::event::{Event, SafetyEvent};
 use runtime::latency::Percentiles;
 use runtime::lidar_agreement::LidarAgreement;
@@ -84,8 +83,8 @@ impl Exploration {
         let robot = self.session.robot();
         let total = self.log.percentiles();
         let map = robot.map();
-        let is_free = |cell: &_| map.state(*cell) == CellState::Free;
-        let free = map.known_cells().filter(|(cell, _)| is_free(cell)).count();
+        let free =
+            map.known_cells().filter(|(cell, _)| map.state(*cell) == CellState::Free).count();
         ExplorationStatus {
             ticks: self.session.ticks(),
             skipped: self.session.skipped(),
@@ -305,12 +304,14 @@ impl Observer for RunLog {
 
 fn calibration(robot: &Robot, now_ns: u64) -> CalibrationStatus {
     let watch = robot.calibration();
-    let since = |change: &Change| {
-        let ago_s = now_ns.saturating_sub(change.since_ns) as f64 * 1e-9;
-        CalibrationChange { change: *change, since_unix_s: unix_s() - ago_s }
-    };
     CalibrationStatus {
-        changes: watch.changes().map(since).collect(),
+        changes: watch
+            .changes()
+            .map(|change| {
+                let ago_s = now_ns.saturating_sub(change.since_ns) as f64 * 1e-9;
+                CalibrationChange { change: *change, since_unix_s: unix_s() - ago_s }
+            })
+            .collect(),
         measured: watch.measured().collect(),
     }
 }

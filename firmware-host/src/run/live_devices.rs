@@ -124,13 +124,12 @@ mod tests {
         config.camera.height = 8;
         config.devices.camera.format = CameraFormat::Rgb24;
         let model = config.camera.model();
-        let whole = |shade| vec![shade; 3 * 16 * 8];
         let answers = [
-            Ok(Some((1, whole(10)))),
+            Ok(Some((1, vec![10; 3 * 16 * 8]))),
             Ok(None),
             Err(V4l2Error::Denied { device: "/dev/video0".into() }),
             Ok(Some((2, vec![20; 7]))),
-            Ok(Some((3, whole(30)))),
+            Ok(Some((3, vec![30; 3 * 16 * 8]))),
         ];
         let script = Script { model, answers: answers.into() };
         let faults = Faults::new(Vec::new(), 1, Arc::new(|| 0));

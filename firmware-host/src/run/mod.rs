@@ -116,8 +116,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
         Pace { period_ns: config.safety_period_ns(), priority: config.run.realtime_priority };
     let wiring = config.clone();
     let wiring_faults = faults.clone();
-    let open = move || devices::open_for_safety(&wiring, &wiring_faults);
-    let (mut safety, port, monitors) = SafetyThread::start(pace, open)?;
+    let (mut safety, port, monitors) =
+        SafetyThread::start(pace, move || devices::open_for_safety(&wiring, &wiring_faults))?;
     let clock = FaultyClock::new(MonotonicClock, &faults);
     let devices = LiveDevices::new(&config, clock, camera)?;
     let models =
@@ -238,9 +238,8 @@ fn recorder(
 fn quota(out: &Path, config: &Config) -> Result<Quota> {
     let out = std::path::absolute(out).context("the working directory is gone")?;
     let buffer = out.parent().unwrap_or(&out).to_owned();
-    let bytes = |gib: f64| (gib * (1u64 << 30) as f64) as u64;
-    let most = Some(bytes(config.recording.quota_gib)).filter(|most| *most > 0);
-    let free_bytes = bytes(config.recording.free_gib);
+    let most = Some(bytes_of(config.recording.quota_gib)).filter(|most| *most > 0);
+    let free_bytes = bytes_of(config.recording.free_gib);
     Ok(Quota {
         buffer,
         bytes: most,
@@ -248,6 +247,10 @@ fn quota(out: &Path, config: &Config) -> Result<Quota> {
         kept_percent: config.recording.kept_percent,
         max_age_days: config.recording.max_age_days,
     })
+}
+
+fn bytes_of(gib: f64) -> u64 {
+    (gib * (1u64 << 30) as f64) as u64
 }
 
 fn report(

@@ -45,7 +45,7 @@ impl Operator {
         let mut watch =
             Watch { signals, panel, file, held: Arc::clone(&held), written: last_stop.is_some() };
         let stopped = Arc::clone(&stop);
-        let work = move || {
+        let thread = std::thread::Builder::new().name("operator".to_owned()).spawn(move || {
             let mut clock = MonotonicClock;
             while !stopped.load(Ordering::Acquire) {
                 watch.update();
@@ -53,8 +53,7 @@ impl Operator {
             }
             // A stop in the last moments of the program is remembered too.
             watch.remember();
-        };
-        let thread = std::thread::Builder::new().name("operator".to_owned()).spawn(work)?;
+        })?;
         Ok(Self { ends, held, last_stop, stop, thread: Some(thread) })
     }
 }

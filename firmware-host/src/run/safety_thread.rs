@@ -113,7 +113,7 @@ impl SafetyThread {
         T: Send + 'static,
     {
         let (sender, receiver) = std::sync::mpsc::sync_channel(1);
-        let work = move || {
+        let thread = std::thread::Builder::new().name("safety".to_owned()).spawn(move || {
             let realtime = become_realtime(pace.priority);
             match open() {
                 Ok(Opened { control, stop_line, rest }) => {
@@ -126,8 +126,7 @@ impl SafetyThread {
                     LatencyHistogram::default()
                 }
             }
-        };
-        let thread = std::thread::Builder::new().name("safety".to_owned()).spawn(work)?;
+        })?;
         let opened = receiver.recv();
         let (mut safety, port, rest) =
             opened.context("the safety thread has panicked; please report this")??;
@@ -373,12 +372,11 @@ mod tests {
     fn a_computer_that_was_suspended_is_reported_once_to_the_safety_loop() {
         let (mut looping, _thread) = looping();
         let begin_ns = looping.suspended_ns;
-        let mut is_suspended = |suspended_ns| looping.orders(0, begin_ns + suspended_ns).suspended;
-        assert!(!is_suspended(0));
+        assert!(!looping.orders(0, begin_ns).suspended);
         // The two clocks are not read at the same moment.
-        assert!(!is_suspended(400_000_000));
-        assert!(is_suspended(8_000_000_000));
-        assert!(!is_suspended(8_000_000_000));
+        assert!(!looping.orders(0, begin_ns + 400_000_000).suspended);
+        assert!(looping.orders(0, begin_ns + 8_000_000_000).suspended);
+        assert!(!looping.orders(0, begin_ns + 8_000_000_000).suspended);
     }
 
     #[test]
@@ -422,9 +420,11 @@ mod tests {
 
     #[test]
     fn a_thread_that_has_ended_is_not_alive_and_an_ordinary_one_has_no_real_time_priority() {
-        let open = || Ok(Opened { control: control(), stop_line: None, rest: () });
         let pace = Pace { period_ns: 1_000_000, priority: 0 };
-        let (mut thread, _port, ()) = SafetyThread::start(pace, open).unwrap();
+        let (mut thread, _port, ()) = SafetyThread::start(pace, || {
+            Ok(Opened { control: control(), stop_line: None, rest: () })
+        })
+        .unwrap();
         assert!(thread.is_alive() && !thread.realtime);
         assert!(thread.shut_down().is_some());
         assert!(!thread.is_alive());

@@ -275,13 +275,7 @@ fn reproduce_names_damage_that_may_hold_a_stop_and_a_file_that_does_not_fit_on_t
     // Files of another process, or of a person, stay, and the command does not need their names.
     let left = dir.path().join("bug.mcap.part");
     std::fs::write(&left, "mine").unwrap();
-    let names = || {
-        let entries = std::fs::read_dir(dir.path()).unwrap();
-        let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name()).collect();
-        names.sort();
-        names
-    };
-    let before = names();
+    let before = names_in(dir.path());
     // A limit of the file size stands for a full disk.
     let limited = "trap '' XFSZ; ulimit -f 1; exec \"$0\" \"$@\"";
     let full = std::process::Command::new("bash")
@@ -299,7 +293,7 @@ fn reproduce_names_damage_that_may_hold_a_stop_and_a_file_that_does_not_fit_on_t
             && said.contains("; free disk space or choose another --out"),
         "{said}"
     );
-    assert_eq!(names(), before);
+    assert_eq!(names_in(dir.path()), before);
 
     let file = run.join("recording_0000.mcap");
     let bytes = std::fs::read(&file).unwrap();
@@ -313,7 +307,14 @@ fn reproduce_names_damage_that_may_hold_a_stop_and_a_file_that_does_not_fit_on_t
     let (made, said) = reproduce(&run, "5", &bug);
     assert!(made && bug.exists(), "{said}");
     assert_eq!(std::fs::read_to_string(&left).unwrap(), "mine");
-    assert_eq!(names().len(), before.len() + 1);
+    assert_eq!(names_in(dir.path()).len(), before.len() + 1);
+}
+
+fn names_in(folder: &Path) -> Vec<std::ffi::OsString> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name()).collect();
+    names.sort();
+    names
 }
 
 /// The environment variable `KILLS` sets the number of kills.

@@ -33,13 +33,14 @@ pub struct Browser {
 
 /// The program's name. Tests that call this are ignored; `cargo xtask test` runs them where there is a browser.
 fn program() -> &'static str {
-    let runs = |program: &&str| {
-        Command::new(program).arg("--version").output().is_ok_and(|output| output.status.success())
-    };
-    let Some(found) = PROGRAMS.into_iter().find(runs) else {
+    let Some(found) = PROGRAMS.into_iter().find(|program| runs(program)) else {
         panic!("chromium is missing: `apt-get install chromium-headless-shell`")
     };
     found
+}
+
+fn runs(program: &str) -> bool {
+    Command::new(program).arg("--version").output().is_ok_and(|output| output.status.success())
 }
 
 impl Browser {

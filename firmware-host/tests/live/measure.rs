@@ -167,10 +167,9 @@ struct Watched {
 
 impl Watched {
     fn begin(socket: PathBuf, count: usize) -> Self {
-        let lowest = || _ = rustix::process::nice(19);
         let clients = Builder::new_multi_thread()
             .worker_threads(2)
-            .on_thread_start(lowest)
+            .on_thread_start(|| _ = rustix::process::nice(19))
             .enable_all()
             .build()
             .unwrap();
@@ -224,8 +223,10 @@ async fn drive(clients: Option<usize>) -> Value {
 fn compare(kinds: [(&str, &[Value]); 2]) {
     for figure in ["total/p50", "total/p99", "safety_late/p50", "safety_late/p99", "live/p99"] {
         for (kind, runs) in kinds {
-            let number = |run: &Value| run.pointer(&format!("/{figure}")).and_then(Value::as_f64);
-            let mut all: Vec<f64> = runs.iter().filter_map(number).collect();
+            let mut all: Vec<f64> = runs
+                .iter()
+                .filter_map(|run| run.pointer(&format!("/{figure}")).and_then(Value::as_f64))
+                .collect();
             let each: Vec<String> = all.iter().map(|ms| format!("{ms:.3}")).collect();
             all.sort_by(f64::total_cmp);
             if !all.is_empty() {

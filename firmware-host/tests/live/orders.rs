@@ -156,20 +156,21 @@ fn a_robot_pauses_when_its_last_watcher_is_gone_where_the_configuration_says_so(
 
 #[test]
 fn a_run_decides_the_same_with_a_live_view_as_without() {
-    let digest = |live: bool| {
-        let folder = tempfile::tempdir().unwrap();
-        let mut command = Command::new(assert_cmd::cargo::cargo_bin!("firmware-host"));
-        command
-            .args(["explore", "--scene", "builtin:apartment?seed=1", "--frames", "60"])
-            .args(["--no-recording", "--out", "run"])
-            .current_dir(folder.path());
-        if live {
-            command.args(["--live", "live.sock"]);
-        }
-        assert!(command.output().unwrap().status.success());
-        let summary = std::fs::read_to_string(folder.path().join("run/summary.json")).unwrap();
-        let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
-        summary["digest"].as_str().unwrap().to_owned()
-    };
     assert_eq!(digest(false), digest(true));
+}
+
+fn digest(live: bool) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("firmware-host"));
+    command
+        .args(["explore", "--scene", "builtin:apartment?seed=1", "--frames", "60"])
+        .args(["--no-recording", "--out", "run"])
+        .current_dir(folder.path());
+    if live {
+        command.args(["--live", "live.sock"]);
+    }
+    assert!(command.output().unwrap().status.success());
+    let summary = std::fs::read_to_string(folder.path().join("run/summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    summary["digest"].as_str().unwrap().to_owned()
 }

@@ -391,12 +391,13 @@ mod tests {
     fn found_with_shared_errors(least_noise: f64) -> usize {
         let limits = Limits { noise: [least_noise], least_noise: [least_noise], ..LIMITS };
         let sigma = 3.0 / 32.0_f64.sqrt();
-        let of_seed = |seed: u64| {
-            let mut rng = Pcg64Mcg::seed_from_u64(seed + 1_000);
-            let errors: Vec<f64> = (0..60).map(|_| sigma * normal(&mut rng)).collect();
-            found_with(seed, 480, 1.0, &limits, |block| errors[block as usize / 8]).len()
-        };
-        (0..50).map(of_seed).sum()
+        (0..50)
+            .map(|seed| {
+                let mut rng = Pcg64Mcg::seed_from_u64(seed + 1_000);
+                let errors: Vec<f64> = (0..60).map(|_| sigma * normal(&mut rng)).collect();
+                found_with(seed, 480, 1.0, &limits, |block| errors[block as usize / 8]).len()
+            })
+            .sum()
     }
 
     #[test]
@@ -412,8 +413,14 @@ mod tests {
         let limits = Limits { least_noise: [least_noise], ..LIMITS };
         let stated = 36.0;
         let rare = 1.3 * (stated / 12.0_f64).sqrt();
-        let error = |block: u64| if block % 100 >= 97 { rare } else { 0.0 };
-        (0..50).map(|seed| found_with(seed + 2_000, 500, stated, &limits, error).len()).sum()
+        (0..50)
+            .map(|seed| {
+                found_with(seed + 2_000, 500, stated, &limits, |block| {
+                    if block % 100 >= 97 { rare } else { 0.0 }
+                })
+                .len()
+            })
+            .sum()
     }
 
     #[test]

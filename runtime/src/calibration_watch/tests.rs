@@ -116,11 +116,6 @@ fn wheels_that_were_wrong_from_the_beginning_are_no_change() {
 
 #[test]
 fn a_second_watch_goes_on_from_a_snapshot_to_the_bit() {
-    let bytes_of = |watch: &CalibrationWatch| {
-        let mut bytes = Vec::new();
-        watch.write(&mut bytes);
-        bytes
-    };
     let mut drive = Drive::new(1);
     let mut second = CalibrationWatch::default();
     for (tick, (forward_m, yaw_rad)) in round_trip(900).enumerate() {
@@ -133,4 +128,10 @@ fn a_second_watch_goes_on_from_a_snapshot_to_the_bit() {
         }
     }
     assert_eq!(bytes_of(&second), bytes_of(&drive.watch));
+}
+
+fn bytes_of(watch: &CalibrationWatch) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    watch.write(&mut bytes);
+    bytes
 }

@@ -81,11 +81,12 @@ impl Ending {
 
     /// Whether one of the frontiers is open.
     pub(super) fn any_open(&self, frontiers: &[Candidate], radius_m: f64) -> bool {
-        let is_exhausted = |one: &Candidate| {
-            let mut exhausted = self.tried.iter().filter(|tried| tried.times >= TRIES);
-            exhausted.any(|tried| tried.is_at([one.interest_m, one.target_m], radius_m))
-        };
-        frontiers.iter().any(|one| one.travel_m.is_some() && !is_exhausted(one))
+        frontiers.iter().any(|one| one.travel_m.is_some() && !self.is_exhausted(one, radius_m))
+    }
+
+    fn is_exhausted(&self, one: &Candidate, radius_m: f64) -> bool {
+        let mut exhausted = self.tried.iter().filter(|tried| tried.times >= TRIES);
+        exhausted.any(|tried| tried.is_at([one.interest_m, one.target_m], radius_m))
     }
 
     /// A goal is chosen at `now_ns` while a frontier is open, or none is, and the map has this much free floor. True once, when

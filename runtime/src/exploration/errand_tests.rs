@@ -280,8 +280,11 @@ fn another_policy_drives_from_the_next_tick_on_and_is_in_a_snapshot() {
     drive.begin(Task::ExploreBy { policy: PolicyKind::Active });
     drive.events.clear();
     drive.steps(50);
-    let is_switch = |event: &Event| matches!(event, Event::PolicySwitched { .. });
-    assert!(!drive.events.iter().any(is_switch), "{:?}", drive.events);
+    assert!(
+        !drive.events.iter().any(|event| matches!(event, Event::PolicySwitched { .. })),
+        "{:?}",
+        drive.events
+    );
 }
 
 #[test]

@@ -187,14 +187,14 @@ impl Closing {
             places.filter_map(|place| align(&self.surfaces, stretches, &found_prior(&place.pose)));
         let refined: Vec<Alignment> = refined.collect();
         let best = refined.iter().max_by(|a, b| a.fit.share().total_cmp(&b.fit.share()))?;
-        let is_rival = |other: &&Alignment| {
-            other.fit.share() > RIVAL_SHARE * best.fit.share()
-                && !is_same_place(&other.pose, &best.pose)
-        };
         let is_good = best.fit.inliers >= MIN_INLIERS
             && best.fit.overlap >= MIN_OVERLAP
             && best.fit.rms_m <= MAX_RMS_M;
-        (is_good && !refined.iter().any(|other| is_rival(&other))).then_some(*best)
+        let has_rival = refined.iter().any(|other| {
+            other.fit.share() > RIVAL_SHARE * best.fit.share()
+                && !is_same_place(&other.pose, &best.pose)
+        });
+        (is_good && !has_rival).then_some(*best)
     }
 }
 

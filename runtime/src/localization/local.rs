@@ -339,15 +339,10 @@ impl LocalTracker {
             return ScanVariances { yaw_rad2: nothing, forward_m2: nothing, left_m2: nothing };
         };
         let (sin, cos) = self.pose.yaw_rad.sin_cos();
-        // 5 cm and more: the scan sees no wall that the robot drives towards or away from, or along.
-        let along = |axis: Vector3<f64>| {
-            let variance = axis.dot(&(covariance * axis));
-            if variance > 0.0 && variance < 0.0025 { variance } else { f64::INFINITY }
-        };
         ScanVariances {
             yaw_rad2: covariance[(2, 2)].max(0.0),
-            forward_m2: along(Vector3::new(cos, sin, 0.0)),
-            left_m2: along(Vector3::new(-sin, cos, 0.0)),
+            forward_m2: along(Vector3::new(cos, sin, 0.0), &covariance),
+            left_m2: along(Vector3::new(-sin, cos, 0.0), &covariance),
         }
     }
 
@@ -386,6 +381,12 @@ impl LocalTracker {
         self.rebuild();
         Ok(())
     }
+}
+
+/// The variance along an axis. 5 cm and more: the scan sees no wall that the robot drives towards or away from, or along.
+fn along(axis: Vector3<f64>, covariance: &Matrix3<f64>) -> f64 {
+    let variance = axis.dot(&(*covariance * axis));
+    if variance > 0.0 && variance < 0.0025 { variance } else { f64::INFINITY }
 }
 
 /// A prior around a pose that a search has found.

@@ -258,8 +258,9 @@ fn in_the_map_of_another_home_the_robot_stays_lost_and_changes_nothing() {
 #[test]
 fn of_two_rooms_that_look_the_same_neither_is_chosen() {
     let mut walls = furnished_room();
-    let there = |[[ax, ay], [bx, by]]: [[f64; 2]; 2]| [[ax + 12.0, ay], [bx + 12.0, by]];
-    walls.extend(furnished_room().into_iter().map(there));
+    walls.extend(
+        furnished_room().into_iter().map(|[[ax, ay], [bx, by]]| [[ax + 12.0, ay], [bx + 12.0, by]]),
+    );
     let mut first = TestRobot::in_room(6);
     first.walls = walls;
     let mut drive = Drive::new(first);

@@ -100,14 +100,10 @@ impl MapQuery {
         let Some(best) = good.max_by(|a, b| a.score.total_cmp(&b.score)) else {
             return Outcome::Nowhere;
         };
-        let is_rival = |other: &Candidate| {
+        let has_rival = self.candidates.iter().any(|other| {
             other.score > RIVAL_SHARE * best.score && !is_same_pose(&other.pose, &best.pose)
-        };
-        if self.candidates.iter().any(is_rival) {
-            Outcome::Several
-        } else {
-            Outcome::Here(best.pose)
-        }
+        });
+        if has_rival { Outcome::Several } else { Outcome::Here(best.pose) }
     }
 }
 

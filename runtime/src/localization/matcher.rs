@@ -132,8 +132,11 @@ pub(crate) fn align(
 /// Stretches that have a surface of their direction in the coarse grid.
 fn known(grid: &SurfelGrid, stretches: &[Stretch], pose: &Pose2) -> usize {
     let [x, y, sin, cos] = grid.relative(pose);
-    let is_known = |stretch: &&Stretch| grid.nearest(&stretch.moved(x, y, sin, cos)).is_some();
-    stretches.iter().filter(|stretch| stretch.has_normal()).filter(is_known).count()
+    stretches
+        .iter()
+        .filter(|stretch| stretch.has_normal())
+        .filter(|stretch| grid.nearest(&stretch.moved(x, y, sin, cos)).is_some())
+        .count()
 }
 
 fn equations_at(grid: &SurfelGrid, stretches: &[Stretch], pose: &Pose2, width_m: f64) -> Equations {

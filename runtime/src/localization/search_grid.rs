@@ -327,24 +327,26 @@ mod tests {
 
     /// The walls of an L-shaped room, seen from inside: it looks the same from no two poses.
     fn room() -> Vec<Stretch> {
-        let mut stretches = Vec::new();
-        let mut wall = |from: [f32; 2], to: [f32; 2], nx: f32, ny: f32| {
-            let length = (to[0] - from[0]).hypot(to[1] - from[1]);
-            let count = (length / 0.1) as usize;
-            for step in 0..count {
-                let share = (step as f32 + 0.5) / count as f32;
-                let x = from[0] + share * (to[0] - from[0]);
-                let y = from[1] + share * (to[1] - from[1]);
-                stretches.push(Stretch { x, y, nx, ny, weight: 1.0 });
-            }
-        };
-        wall([-3.0, -2.0], [4.0, -2.0], 0.0, 1.0);
-        wall([4.0, -2.0], [4.0, 1.0], -1.0, 0.0);
-        wall([4.0, 1.0], [0.0, 1.0], 0.0, -1.0);
-        wall([0.0, 1.0], [0.0, 3.5], -1.0, 0.0);
-        wall([0.0, 3.5], [-3.0, 3.5], 0.0, -1.0);
-        wall([-3.0, 3.5], [-3.0, -2.0], 1.0, 0.0);
-        stretches
+        let walls = [
+            ([-3.0, -2.0], [4.0, -2.0], [0.0, 1.0]),
+            ([4.0, -2.0], [4.0, 1.0], [-1.0, 0.0]),
+            ([4.0, 1.0], [0.0, 1.0], [0.0, -1.0]),
+            ([0.0, 1.0], [0.0, 3.5], [-1.0, 0.0]),
+            ([0.0, 3.5], [-3.0, 3.5], [0.0, -1.0]),
+            ([-3.0, 3.5], [-3.0, -2.0], [1.0, 0.0]),
+        ];
+        walls.into_iter().flat_map(|(from, to, normal)| wall(from, to, normal)).collect()
+    }
+
+    fn wall(from: [f32; 2], to: [f32; 2], [nx, ny]: [f32; 2]) -> impl Iterator<Item = Stretch> {
+        let length = (to[0] - from[0]).hypot(to[1] - from[1]);
+        let count = (length / 0.1) as usize;
+        (0..count).map(move |step| {
+            let share = (step as f32 + 0.5) / count as f32;
+            let x = from[0] + share * (to[0] - from[0]);
+            let y = from[1] + share * (to[1] - from[1]);
+            Stretch { x, y, nx, ny, weight: 1.0 }
+        })
     }
 
     fn search(from: &Pose2, window: Window) -> Search {
@@ -405,16 +407,7 @@ mod tests {
     #[test]
     fn a_straight_corridor_has_rivals_along_itself() {
         let mut grid = SearchGrid::new();
-        let wall = |y: f32, ny: f32| {
-            (0..300).map(move |step| Stretch {
-                x: 0.1 * step as f32 - 15.0,
-                y,
-                nx: 0.0,
-                ny,
-                weight: 1.0,
-            })
-        };
-        let corridor: Vec<_> = wall(-1.0, 1.0).chain(wall(1.0, -1.0)).collect();
+        let corridor: Vec<_> = long_wall(-1.0, 1.0).chain(long_wall(1.0, -1.0)).collect();
         grid.insert(&corridor, &Pose2::IDENTITY);
         grid.finish();
         grid.set_query(&corridor[50..250]);
@@ -424,5 +417,10 @@ mod tests {
             grid.step(&mut search);
         }
         assert!(search.places().len() > 2, "{:?}", search.places());
+    }
+
+    fn long_wall(y: f32, ny: f32) -> impl Iterator<Item = Stretch> {
+        let along = (0..300).map(|step| 0.1 * step as f32 - 15.0);
+        along.map(move |x| Stretch { x, y, nx: 0.0, ny, weight: 1.0 })
     }
 }

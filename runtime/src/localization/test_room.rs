@@ -143,10 +143,6 @@ pub(crate) fn ring_corridor() -> Vec<Wall> {
 
 /// Forward and yaw of each step of `rounds` rounds through the ring corridor, from (0, -0.8) along x.
 pub(crate) fn around_the_ring(rounds: usize) -> impl Iterator<Item = (f64, f64)> {
-    let side = |metres: f64| {
-        let forward = std::iter::repeat_n((0.05, 0.0), (metres / 0.05).round() as usize);
-        forward.chain(std::iter::repeat_n((0.0, std::f64::consts::FRAC_PI_2 / 30.0), 30))
-    };
     (0..rounds).flat_map(move |_| {
         side(10.8)
             .chain(side(7.6))
@@ -154,6 +150,11 @@ pub(crate) fn around_the_ring(rounds: usize) -> impl Iterator<Item = (f64, f64)>
             .chain(side(7.6))
             .chain(std::iter::repeat_n((0.05, 0.0), 16))
     })
+}
+
+fn side(metres: f64) -> impl Iterator<Item = (f64, f64)> {
+    let forward = std::iter::repeat_n((0.05, 0.0), (metres / 0.05).round() as usize);
+    forward.chain(std::iter::repeat_n((0.0, std::f64::consts::FRAC_PI_2 / 30.0), 30))
 }
 
 /// Forward and yaw of each step of a drive around the middle of the furnished room, with stops to look around.

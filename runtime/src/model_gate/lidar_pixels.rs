@@ -168,29 +168,34 @@ mod tests {
     fn the_time_of_a_scan_is_compared_with_that_of_the_frame_and_not_of_the_tick() {
         let (camera, t_camera_laser) = mounts();
         let view = LidarView { camera, t_camera_laser };
-        let pixels = vec![0; 3 * camera.width * camera.height];
-        let points = |scan_ms: u64, with_frame: bool| {
-            let scan = LaserScan { time_ns: scan_ms * 1_000_000, ..scan_of(|_| Range::Hit(3.0)) };
-            let frame = ImageView::rgb8(camera.width, camera.height, &pixels).unwrap();
-            let wheel = WheelFeedback { time_ns: 1_000_000_000, ..WheelFeedback::default() };
-            view.of_tick(&TickInput {
-                tick: 0,
-                time_ns: 1_180_000_000,
-                wheel,
-                scan: Some(&scan),
-                scan_odom: wheel.odom,
-                outside: None,
-                frame: with_frame.then_some(frame),
-                truth: None,
-                task: None,
-                areas: &[],
-                orders: &[],
-                safety: &SafetyReport::default(),
-            })
-            .len()
-        };
-        assert!(points(950, true) > 300 && points(1050, true) > 300);
+        assert!(points(&view, 950, true) > 300 && points(&view, 1050, true) > 300);
         // The first scan has the time of the tick, but not that of the frame.
-        assert_eq!((points(1180, true), points(949, true), points(1000, false)), (0, 0, 0));
+        assert_eq!(
+            (points(&view, 1180, true), points(&view, 949, true), points(&view, 1000, false)),
+            (0, 0, 0)
+        );
+    }
+
+    fn points(view: &LidarView, scan_ms: u64, with_frame: bool) -> usize {
+        let scan = LaserScan { time_ns: scan_ms * 1_000_000, ..scan_of(|_| Range::Hit(3.0)) };
+        let CameraModel { width, height, .. } = view.camera;
+        let pixels = vec![0; 3 * width * height];
+        let frame = ImageView::rgb8(width, height, &pixels).unwrap();
+        let wheel = WheelFeedback { time_ns: 1_000_000_000, ..WheelFeedback::default() };
+        view.of_tick(&TickInput {
+            tick: 0,
+            time_ns: 1_180_000_000,
+            wheel,
+            scan: Some(&scan),
+            scan_odom: wheel.odom,
+            outside: None,
+            frame: with_frame.then_some(frame),
+            truth: None,
+            task: None,
+            areas: &[],
+            orders: &[],
+            safety: &SafetyReport::default(),
+        })
+        .len()
     }
 }

@@ -175,9 +175,9 @@ mod tests {
 
     /// An estimate with this depth and confidence in each column.
     fn columns(of: impl Fn(usize) -> (f32, f32)) -> DepthEstimate {
-        let pixels = || (0..SIZE.0 * SIZE.1).map(|at| of(at % SIZE.0));
-        let depth = DepthMap::from_vec(SIZE.0, SIZE.1, pixels().map(|pixel| pixel.0).collect());
-        DepthEstimate { depth: depth.unwrap(), confidence: pixels().map(|pixel| pixel.1).collect() }
+        let pixels = (0..SIZE.0 * SIZE.1).map(|at| of(at % SIZE.0));
+        let (depth, confidence) = pixels.unzip();
+        DepthEstimate { depth: DepthMap::from_vec(SIZE.0, SIZE.1, depth).unwrap(), confidence }
     }
 
     fn shares(model: (f32, f32), coarse: (f32, f32)) -> LostShares {
@@ -186,16 +186,17 @@ mod tests {
 
     #[test]
     fn each_pixel_counts_in_the_range_of_its_coarse_depth() {
-        let found = |depth_m: f32| {
-            let shares = shares((depth_m, 1.0), (depth_m, 0.9));
-            [shares.first, shares.second, shares.corridor, shares.near].map(|share| share.is_some())
-        };
         assert_eq!(found(0.29), [false; 4]);
         assert_eq!(found(0.3), [true, false, true, true]);
         assert_eq!(found(0.99), [true, false, true, true]);
         assert_eq!(found(1.0), [false, true, true, true]);
         assert_eq!(found(2.0), [false; 4]);
         assert_eq!(found(0.0), [false; 4]);
+    }
+
+    fn found(depth_m: f32) -> [bool; 4] {
+        let shares = shares((depth_m, 1.0), (depth_m, 0.9));
+        [shares.first, shares.second, shares.corridor, shares.near].map(|share| share.is_some())
     }
 
     #[test]
@@ -206,13 +207,16 @@ mod tests {
 
     #[test]
     fn only_a_depth_that_the_map_accepts_and_that_is_far_behind_loses_an_obstacle() {
-        let lost = |model| shares(model, (0.8, 0.9)).first.unwrap();
-        assert_eq!([(5.0, 1.0), (1.21, 0.8)].map(lost), [1.0, 1.0]);
-        assert_eq!([(1.19, 1.0), (5.0, 0.79), (0.0, 0.0), (0.3, 1.0)].map(lost), [0.0; 4]);
+        assert_eq!([(5.0, 1.0), (1.21, 0.8)].map(lost_share), [1.0, 1.0]);
+        assert_eq!([(1.19, 1.0), (5.0, 0.79), (0.0, 0.0), (0.3, 1.0)].map(lost_share), [0.0; 4]);
         // A map that accepts less sure depth is cleared by it.
         let bold = LostObstacles { map_confidence: 0.5, ..counter() };
         let lost = bold.shares(&columns(|_| (5.0, 0.6)), &columns(|_| (0.8, 0.9)));
         assert_eq!(lost.first, Some(1.0));
+    }
+
+    fn lost_share(model: (f32, f32)) -> f64 {
+        shares(model, (0.8, 0.9)).first.unwrap()
     }
 
     #[test]

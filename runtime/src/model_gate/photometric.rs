@@ -257,12 +257,15 @@ pub(super) mod tests {
         let one = wall(2.0, -0.2);
         let two = wall(2.0, 0.1);
         let depth = vec![2.0; SIZE.0 * SIZE.1];
-        let source = |rgb, x| Source { rgb, t_source_target: Pose3::translation(x, 0.0, 0.0) };
         let mut photometric = Photometric::new(&camera());
         let alone = photometric.error(&target, &depth, &[source(&one, 0.2)]).unwrap().0;
         let both =
             photometric.error(&target, &depth, &[source(&one, 0.2), source(&two, -0.1)]).unwrap().0;
         assert!(both <= alone, "{both} {alone}");
         assert_eq!(photometric.error(&target, &depth, &[]), None);
+    }
+
+    fn source(rgb: &[u8], x: f64) -> Source<'_> {
+        Source { rgb, t_source_target: Pose3::translation(x, 0.0, 0.0) }
     }
 }

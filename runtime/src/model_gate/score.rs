@@ -179,8 +179,9 @@ mod tests {
     fn parallax_is_that_of_the_farthest_source() {
         let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
         let rgb = [0; 0];
-        let source = |x| Source { rgb: &rgb, t_source_target: Pose3::translation(x, 0.0, 0.0) };
-        assert!((parallax_px(&camera, &[source(0.05), source(-0.1)]) - 12.8).abs() < 1e-9);
+        let sources = [0.05, -0.1]
+            .map(|x| Source { rgb: &rgb, t_source_target: Pose3::translation(x, 0.0, 0.0) });
+        assert!((parallax_px(&camera, &sources) - 12.8).abs() < 1e-9);
         assert_eq!([0.0, 6.0, 15.9, 16.0].map(parallax_bin), [0, 1, 1, 2]);
     }
 }

@@ -403,8 +403,7 @@ mod tests {
         // A person pushes the disarmed robot.
         assert_eq!(end_of(trial(), |_| TrialTick { moved_m: 0.05, ..STANDING }), None);
         // Every second tick stands: only the others count.
-        let half = |tick| if tick % 2 == 0 { GOOD } else { STANDING };
-        assert_eq!(run(half).0, 1199);
+        assert_eq!(run(|tick| if tick % 2 == 0 { GOOD } else { STANDING }).0, 1199);
     }
 
     #[test]
@@ -416,8 +415,8 @@ mod tests {
     fn a_model_whose_depth_is_never_right_is_rolled_back_while_the_robot_stands() {
         for resident in [resident(), TrialCounts::default()] {
             let trial = Trial::new(TrialLimits::default(), resident, TrialCounts::default());
-            let wrong = |_| TrialTick { delta1: Some(0.0), ..STANDING };
-            let (ticks, verdict) = end_of(trial, wrong).unwrap();
+            let (ticks, verdict) =
+                end_of(trial, |_| TrialTick { delta1: Some(0.0), ..STANDING }).unwrap();
             assert!(matches!(verdict, TrialVerdict::Accuracy { .. }), "{verdict}");
             assert_eq!(ticks, 50);
         }
@@ -482,15 +481,16 @@ mod tests {
 
     #[test]
     fn without_a_resident_model_the_absolute_limits_hold() {
+        assert!(end_of_first(0.35, 0.25).keeps());
+        assert!(matches!(end_of_first(0.25, 0.25), TrialVerdict::Accuracy { .. }));
+        assert!(matches!(end_of_first(0.35, 0.35), TrialVerdict::LostNear { .. }));
+    }
+
+    fn end_of_first(delta1: f64, lost_near: f64) -> TrialVerdict {
         let first =
-            || Trial::new(TrialLimits::default(), TrialCounts::default(), TrialCounts::default());
-        let ended = |delta1, lost| {
-            let tick = TrialTick { delta1: Some(delta1), lost_near: Some(lost), ..GOOD };
-            end_of(first(), |_| tick).unwrap().1
-        };
-        assert!(ended(0.35, 0.25).keeps());
-        assert!(matches!(ended(0.25, 0.25), TrialVerdict::Accuracy { .. }));
-        assert!(matches!(ended(0.35, 0.35), TrialVerdict::LostNear { .. }));
+            Trial::new(TrialLimits::default(), TrialCounts::default(), TrialCounts::default());
+        let tick = TrialTick { delta1: Some(delta1), lost_near: Some(lost_near), ..GOOD };
+        end_of(first, |_| tick).unwrap().1
     }
 
     #[test]

@@ -312,11 +312,14 @@ pub fn judge(
     if bad > 0 {
         refused.push(RefusalReason::BadOutput { bad, of: count });
     }
-    let resident = |frame: &ScoredFrame| frame.resident.filter(|_| has_resident);
-    let compared = compare_all(frames, resident, limits.error(), limits);
+    let compared = compare_all(
+        frames,
+        |frame| frame.resident.filter(|_| has_resident),
+        limits.error(),
+        limits,
+    );
     // A worse model does not become better by trying again: this bound is the same at every try.
-    let without_network = |frame: &ScoredFrame| frame.without_network;
-    let beside_dense = compare_all(frames, without_network, FIRST_ERROR, limits);
+    let beside_dense = compare_all(frames, |frame| frame.without_network, FIRST_ERROR, limits);
     let enough = count >= limits.min_frames
         && places >= limits.min_places
         && !(has_resident && compared.is_empty());
@@ -567,11 +570,8 @@ mod tests {
             let line = frame.candidate.as_mut().unwrap().line.as_mut().unwrap();
             line.abs_rel += if frame.bin.x % 2 == 0 { 0.03 } else { -0.03 };
         }
-        let at_try = |tries| {
-            judge(&examination, true, false, &GateLimits { tries, ..GateLimits::default() })
-        };
-        assert!(at_try(1).is_accepted());
-        let refused = at_try(8).refused;
+        assert!(at_try(&examination, 1).is_accepted());
+        let refused = at_try(&examination, 8).refused;
         assert!(
             matches!(refused[..], [RefusalReason::NotShown { measure: Measure::AbsRel, .. }]),
             "{refused:?}"
@@ -580,6 +580,10 @@ mod tests {
         let all: f64 =
             (1..10_000).map(|tries| GateLimits { tries, ..GateLimits::default() }.error()).sum();
         assert!(all < 0.1, "{all}");
+    }
+
+    fn at_try(examination: &Examination, tries: u32) -> Verdict {
+        judge(examination, true, false, &GateLimits { tries, ..GateLimits::default() })
     }
 
     #[test]

@@ -396,18 +396,21 @@ mod tests {
         let mut robot = Robot::new();
         drive(&mut robot);
         // Twice to the side and back on the spot: coarse depth has forgotten, and no keyframe of the drive is left.
-        let at = |yaw: f64| pose([0.45, 0.0, 0.0], yaw);
         let steps = (1..=16).chain((0..16).rev());
         for step in steps.clone().chain(steps) {
-            robot.look(&at(0.06 * f64::from(step)));
+            robot.look(&turned(0.06 * f64::from(step)));
         }
-        robot.look(&at(0.0));
+        robot.look(&turned(0.0));
         let cells: Vec<Candidates> = robot.dense.candidates().collect();
         let recalled =
             cells.iter().filter(|cell| cell.recalled.2 > cell.coarse.1.max(KNOWN)).count();
         assert!(recalled * 2 > cells.len(), "{recalled}");
-        let right = robot.right(&at(0.0));
+        let right = robot.right(&turned(0.0));
         assert!(right > 0.95, "{right}");
+    }
+
+    fn turned(yaw: f64) -> Pose3 {
+        pose([0.45, 0.0, 0.0], yaw)
     }
 
     #[test]
@@ -452,7 +455,8 @@ mod tests {
     #[test]
     fn agreement_of_coarse_and_recalled_depth_raises_the_probability_and_contradiction_lowers_it() {
         let weights = DenseConfig::default().joint_weights;
-        let p = |agree| logistic(&weights, &joint_features(0.8, 0.7, agree));
-        assert!(p(true) > 0.8 && p(false) < 0.8, "{} {}", p(true), p(false));
+        let [agreeing, contradicting] =
+            [true, false].map(|agree| logistic(&weights, &joint_features(0.8, 0.7, agree)));
+        assert!(agreeing > 0.8 && contradicting < 0.8, "{agreeing} {contradicting}");
     }
 }

@@ -386,13 +386,14 @@ mod tests {
 
     /// Uniform white noise of 2 mrad about each axis.
     fn jitter(index: usize) -> Vector3<f64> {
-        let noise = |axis: usize| {
-            let hash = ((index * 3 + axis) as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-            ((hash ^ (hash >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 40) as f64
-                / f64::from(1 << 24)
-                - 0.5
-        };
-        Vector3::new(noise(0), noise(1), noise(2)) * (0.002 * 12.0_f64.sqrt())
+        Vector3::new(noise(index, 0), noise(index, 1), noise(index, 2)) * (0.002 * 12.0_f64.sqrt())
+    }
+
+    fn noise(index: usize, axis: usize) -> f64 {
+        let hash = ((index * 3 + axis) as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        ((hash ^ (hash >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 40) as f64
+            / f64::from(1 << 24)
+            - 0.5
     }
 
     /// Errors of the filtered rotations of 80 frames, with true depth and flow.

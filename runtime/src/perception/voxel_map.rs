@@ -272,8 +272,8 @@ struct View {
 impl View {
     fn new(pose: &Pose3) -> Self {
         let matrix = pose.to_homogeneous();
-        let row = |row: usize| [0, 1, 2, 3].map(|column| matrix[(row, column)] as f32);
-        Self { rows: [row(0), row(1), row(2)] }
+        let rows = [0, 1, 2].map(|row| [0, 1, 2, 3].map(|column| matrix[(row, column)] as f32));
+        Self { rows }
     }
 
     #[inline(always)]
@@ -376,9 +376,12 @@ impl Recalled {
 
 /// A key has 12 bits of section, 2 of level, 17 of x and y each and 14 of z, and a bit that is always set.
 fn key_of([x, y, z]: [i32; 3], level: u64, section: u16) -> u64 {
-    let bits = |value: i32, bits: u32| u64::from(value as u32) & ((1 << bits) - 1);
-    let place = bits(x, 17) | bits(y, 17) << 17 | bits(z, 14) << 34;
+    let place = low_bits(x, 17) | low_bits(y, 17) << 17 | low_bits(z, 14) << 34;
     place | level << 48 | u64::from(section & 0xFFF) << 50 | 1 << 63
+}
+
+fn low_bits(value: i32, count: u32) -> u64 {
+    u64::from(value as u32) & ((1 << count) - 1)
 }
 
 fn section_of(key: u64) -> usize {

@@ -63,18 +63,19 @@ pub struct Walls {
 impl Walls {
     /// Prepares for the cells of a camera that is mounted at `t_base_camera` on a robot that stands on the floor.
     pub fn new(cells: &CameraModel, t_base_camera: &Pose3) -> Self {
-        let ray = |cell: usize| {
-            let right = ((cell % cells.width) as f64 - cells.cx) / cells.fx;
-            let down = ((cell / cells.width) as f64 - cells.cy) / cells.fy;
-            let ray = t_base_camera.rotation * Vector3::new(right, down, 1.0);
-            Ray {
-                direction: direction(ray.x, ray.y),
-                horizontal: ray.x.hypot(ray.y) as f32,
-                floor: (-ray.z / t_base_camera.translation.z) as f32,
-            }
-        };
         Self {
-            rays: (0..cells.width * cells.height).map(ray).collect(),
+            rays: (0..cells.width * cells.height)
+                .map(|cell| {
+                    let right = ((cell % cells.width) as f64 - cells.cx) / cells.fx;
+                    let down = ((cell / cells.width) as f64 - cells.cy) / cells.fy;
+                    let ray = t_base_camera.rotation * Vector3::new(right, down, 1.0);
+                    Ray {
+                        direction: direction(ray.x, ray.y),
+                        horizontal: ray.x.hypot(ray.y) as f32,
+                        floor: (-ray.z / t_base_camera.translation.z) as f32,
+                    }
+                })
+                .collect(),
             camera_in_base: t_base_camera.translation.vector.xy().into(),
             ..Self::default()
         }
@@ -129,8 +130,7 @@ impl Walls {
             *nearest = nearest.min(away.norm() as f32);
         }
         let measured = self.distance_m.clone();
-        let is_gap = |index: &usize| measured[*index].is_infinite();
-        for gap in (0..DIRECTIONS).filter(is_gap) {
+        for gap in (0..DIRECTIONS).filter(|index| measured[*index].is_infinite()) {
             let mut around = (1..=REACH).map(|step| {
                 let left = measured[(gap + step) % DIRECTIONS];
                 left.min(measured[(gap + DIRECTIONS - step) % DIRECTIONS])

@@ -71,9 +71,10 @@ impl KeepOut {
             let touched =
                 edges(polygon).filter_map(|edge| within(edge, bottom_m, bottom_m + cell_m));
             for [from_m, to_m] in inside.chain(touched) {
-                let column = |x_m: f64| (x_m / cell_m).floor() as i64 - i64::from(cells.min.x);
-                let from = column(from_m).clamp(0, row.len() as i64) as usize;
-                let to = (column(to_m) + 1).clamp(from as i64, row.len() as i64) as usize;
+                let [from, to] = [from_m, to_m]
+                    .map(|x_m| (x_m / cell_m).floor() as i64 - i64::from(cells.min.x));
+                let from = from.clamp(0, row.len() as i64) as usize;
+                let to = (to + 1).clamp(from as i64, row.len() as i64) as usize;
                 row[from..to].fill(value);
             }
         }

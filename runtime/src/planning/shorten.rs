@@ -132,13 +132,23 @@ mod tests {
             50..60 => Some(2.0),
             _ => None,
         });
-        let corner = |x: i32, y: i32| Cell::new(x, y).center_m(0.03);
         let free = costmap.path_cost_m(&[corner(5, 5), corner(45, 5), corner(45, 35)]).unwrap();
         assert!((free - 70.0 * 0.03).abs() < 1e-9, "{free}");
         let dear = costmap.path_cost_m(&[corner(52, 5), corner(52, 35)]).unwrap();
         assert!((dear - 2.0 * 30.0 * 0.03).abs() < 1e-9, "{dear}");
         assert_eq!(costmap.path_cost_m(&[corner(5, 5), corner(70, 5)]), None);
         assert_eq!(costmap.path_cost_m(&[]), Some(0.0));
+    }
+
+    fn corner(x: i32, y: i32) -> [f64; 2] {
+        Cell::new(x, y).center_m(0.03)
+    }
+
+    /// Whether a cell is in one of the boxes: x and y of their lowest cell, width and height.
+    fn is_inside(boxes: &[(i32, i32, i32, i32)], cell: Cell) -> bool {
+        boxes
+            .iter()
+            .any(|(x, y, w, h)| (*x..x + w).contains(&cell.x) && (*y..y + h).contains(&cell.y))
     }
 
     #[test]
@@ -154,10 +164,7 @@ mod tests {
         fn around_boxes_the_line_stays_clear_and_is_never_longer(
             boxes in proptest::collection::vec((5..90i32, 5..70i32, 3..25i32, 3..25i32), 0..10),
         ) {
-            let inside = |cell: Cell| {
-                boxes.iter().any(|(x, y, w, h)| (*x..x + w).contains(&cell.x) && (*y..y + h).contains(&cell.y))
-            };
-            let costmap = open(|cell| (!inside(cell)).then_some(1.0));
+            let costmap = open(|cell| (!is_inside(&boxes, cell)).then_some(1.0));
             let mut planner = Planner::new(usize::MAX);
             let planned = planner.plan(&costmap, Cell::new(1, 1), Cell::new(98, 78));
             let Ok(path) = planned else { return Ok(()) };
@@ -171,7 +178,7 @@ mod tests {
                     let [cx, cy] = cell.center_m(0.03);
                     let length = (ends[1][0] - ends[0][0]).hypot(ends[1][1] - ends[0][1]);
                     let off = ((ends[1][0] - ends[0][0]) * (cy - ends[0][1]) - (ends[1][1] - ends[0][1]) * (cx - ends[0][0])).abs() / length;
-                    prop_assert!(!inside(cell) || off > 0.008, "{:?} is blocked", cell);
+                    prop_assert!(!is_inside(&boxes, cell) || off > 0.008, "{:?} is blocked", cell);
                 }
             }
         }

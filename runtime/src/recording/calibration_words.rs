@@ -20,32 +20,39 @@ pub fn changed(change: &Change) -> String {
 /// The parameter and its change, with the direction in words.
 fn by_how_much(what: Watched, by: f64) -> String {
     let size = size(what, by);
-    let way = |more: &'static str, less: &'static str| if by > 0.0 { more } else { less };
     match what {
         Watched::WheelHeading => {
-            let (larger, smaller) = (way("right", "left"), way("left", "right"));
+            let (larger, smaller) = (way(by, "right", "left"), way(by, "left", "right"));
             format!("the {larger} wheel is larger or the {smaller} one smaller, {size} of yaw")
         }
         Watched::WheelTrack => {
-            format!("the track is {} by {size}", way("narrower", "wider"))
+            format!("the track is {} by {size}", way(by, "narrower", "wider"))
         }
         Watched::WheelDistance => {
-            format!("both wheels are {} by {size}", way("larger", "smaller"))
+            format!("both wheels are {} by {size}", way(by, "larger", "smaller"))
         }
         Watched::LidarYaw => {
-            format!("the LiDAR points {size} more to the {}", way("left", "right"))
+            format!("the LiDAR points {size} more to the {}", way(by, "left", "right"))
         }
-        Watched::LidarForward => format!("the LiDAR is {size} more {}", way("forward", "backward")),
-        Watched::LidarLeft => format!("the LiDAR is {size} more to the {}", way("left", "right")),
-        Watched::CameraPitch => format!("the camera points {size} more {}", way("down", "up")),
+        Watched::LidarForward => {
+            format!("the LiDAR is {size} more {}", way(by, "forward", "backward"))
+        }
+        Watched::LidarLeft => {
+            format!("the LiDAR is {size} more to the {}", way(by, "left", "right"))
+        }
+        Watched::CameraPitch => format!("the camera points {size} more {}", way(by, "down", "up")),
         Watched::CameraYaw => {
-            format!("the camera points {size} more to the {}", way("left", "right"))
+            format!("the camera points {size} more to the {}", way(by, "left", "right"))
         }
         Watched::CameraRoll => {
-            format!("the {} side of the camera is {size} lower", way("right", "left"))
+            format!("the {} side of the camera is {size} lower", way(by, "right", "left"))
         }
-        Watched::CameraLatency => format!("frames come {size} {}", way("later", "earlier")),
+        Watched::CameraLatency => format!("frames come {size} {}", way(by, "later", "earlier")),
     }
+}
+
+fn way(by: f64, more: &'static str, less: &'static str) -> &'static str {
+    if by > 0.0 { more } else { less }
 }
 
 fn size(what: Watched, value: f64) -> String {

@@ -174,9 +174,6 @@ mod tests {
     /// A file with one chunk of one message. The chunk claims that its records have `length` bytes.
     fn file(length: u64) -> Vec<u8> {
         let channel = [&[0; 4][..], &2_u32.to_le_bytes(), b"/t", &[0; 8]].concat();
-        let record = |opcode: u8, body: &[u8]| {
-            [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
-        };
         let records = [record(op::CHANNEL, &channel), record(op::MESSAGE, &[0; 22])].concat();
         assert_eq!(records.len(), 58);
         let chunk = [&[0; 16][..], &58_u64.to_le_bytes(), &[0; 8], &length.to_le_bytes(), &records]
@@ -185,16 +182,21 @@ mod tests {
         [mcap::MAGIC, &record(op::HEADER, &[0; 8]), &record(op::CHUNK, &chunk), end].concat()
     }
 
+    fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
+        [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
+    }
+
     #[test]
     fn a_record_that_reaches_beyond_the_end_of_its_chunk_is_refused() {
-        let all = |length| {
-            let file = file(length);
-            let mut messages = Messages::new(&file[..]);
-            std::iter::from_fn(|| messages.next().transpose()).collect::<Result<Vec<_>, _>>()
-        };
-        assert_eq!(all(58).map(|messages| messages.len()).unwrap(), 1);
+        assert_eq!(messages_of(58).map(|messages| messages.len()).unwrap(), 1);
         for length in [1, 20, 40, 57, 59, u64::MAX] {
-            assert!(matches!(all(length), Err(McapError::UnexpectedEoc)), "{length}");
+            assert!(matches!(messages_of(length), Err(McapError::UnexpectedEoc)), "{length}");
         }
+    }
+
+    fn messages_of(length: u64) -> Result<Vec<Message>, McapError> {
+        let file = file(length);
+        let mut messages = Messages::new(&file[..]);
+        std::iter::from_fn(|| messages.next().transpose()).collect()
     }
 }

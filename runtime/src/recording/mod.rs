@@ -11,6 +11,7 @@ mod calibration_words;
 mod container;
 mod digest;
 mod error;
+mod event_log;
 mod header;
 mod image;
 mod json;
@@ -29,6 +30,7 @@ pub use self::image::quantise_mm;
 pub use calibration_words::changed;
 pub use digest::{RunDigest, input_digest};
 pub use error::RecordingError;
+pub use event_log::EventLog;
 pub use header::{FORMAT_VERSION, HandOverSchedule, RunHeader, RunIdentity, SegmentHeader};
 pub use reader::RecordingReader;
 pub use sentences::{Severity, drop_reason, fault_reason, goal_reason, lost_reason, sentence};
@@ -37,7 +39,7 @@ pub use views::{MapView, Views};
 /// Foxglove's messages of single parts, for the live view.
 pub mod messages {
     pub use super::views::{
-        calibration, field, grid, log, path, pose, pose_in, scan, timestamp, transforms,
+        calibration, field, grid, path, pose, pose_in, scan, timestamp, transforms,
     };
 }
 pub use writer::{CHUNK_BYTES, CHUNK_NS, END_WITHOUT_SUMMARY, RecordingWriter};

@@ -119,23 +119,25 @@ impl Parts {
 
     fn add(&mut self, topic: Topic, data: &[u8]) -> Result<(), RecordingError> {
         let tick = self.json.tick;
-        let bad = |detail: String| bad_message(tick, topic, &detail);
+        self.read(topic, data).map_err(|detail| bad_message(tick, topic, &detail))
+    }
+
+    fn read(&mut self, topic: Topic, data: &[u8]) -> Result<(), String> {
         match topic {
             Topic::Snapshot => self.snapshot = Some(data.to_vec()),
-            Topic::Scan => self.scan = Some(self.parse_scan(data).map_err(bad)?),
+            Topic::Scan => self.scan = Some(self.parse_scan(data)?),
             Topic::Image => {
                 let message =
-                    fox::CompressedImage::decode(data).map_err(|error| bad(error.to_string()))?;
-                self.frame = Some(image::decode_png(&message.data).map_err(bad)?);
+                    fox::CompressedImage::decode(data).map_err(|error| error.to_string())?;
+                self.frame = Some(image::decode_png(&message.data)?);
             }
             Topic::TruthDepth => {
-                let message =
-                    fox::RawImage::decode(data).map_err(|error| bad(error.to_string()))?;
-                self.truth = Some(image::decode_depth(&message).map_err(bad)?);
+                let message = fox::RawImage::decode(data).map_err(|error| error.to_string())?;
+                self.truth = Some(image::decode_depth(&message)?);
             }
             Topic::Decision => {
                 self.decision =
-                    Some(serde_json::from_slice(data).map_err(|error| bad(error.to_string()))?);
+                    Some(serde_json::from_slice(data).map_err(|error| error.to_string())?);
             }
             _ => {}
         }
@@ -193,15 +195,15 @@ impl Parts {
 }
 
 fn parse_header(data: &[u8]) -> Result<SegmentHeader, RecordingError> {
-    let bad = |error: serde_json::Error| bad_message(0, Topic::Header, &error);
     // The version is read first, because a header of another format may lack this format's fields.
-    let value: serde_json::Value = serde_json::from_slice(data).map_err(bad)?;
+    let value: serde_json::Value =
+        serde_json::from_slice(data).map_err(|error| bad_message(0, Topic::Header, &error))?;
     let found = value["format_version"].as_u64().unwrap_or(0);
     if found != u64::from(FORMAT_VERSION) {
         let written_by = value["run"]["written_by"].as_str().unwrap_or("unknown").to_owned();
         return Err(RecordingError::FormatVersion { found, supported: FORMAT_VERSION, written_by });
     }
-    serde_json::from_value(value).map_err(bad)
+    serde_json::from_value(value).map_err(|error| bad_message(0, Topic::Header, &error))
 }
 
 fn bad_message(tick: u64, topic: Topic, detail: &impl std::fmt::Display) -> RecordingError {

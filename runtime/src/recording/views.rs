@@ -6,8 +6,6 @@ use hal::{CameraModel, DepthMap, Distortion, LaserScan, Pose2, Pose3};
 use nalgebra::UnitQuaternion;
 
 use super::scan;
-use super::sentences::{Severity, sentence};
-use crate::event::Event;
 
 const UPRIGHT: fox::Quaternion = fox::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 };
 
@@ -108,24 +106,6 @@ pub fn scan(scan: &LaserScan, time_ns: u64) -> fox::LaserScan {
         end_angle: geometry.angle_rad(scan.ranges.len().saturating_sub(1)),
         ranges: scan.ranges.iter().map(|range| scan::encode(*range)).collect(),
         intensities: Vec::new(),
-    }
-}
-
-/// An event as a sentence with its severity.
-pub fn log(event: &Event, time_ns: u64) -> fox::Log {
-    let (severity, message) = sentence(event);
-    let level = match severity {
-        Severity::Info => fox::log::Level::Info,
-        Severity::Warning => fox::log::Level::Warning,
-        Severity::Error => fox::log::Level::Error,
-    };
-    fox::Log {
-        timestamp: timestamp(time_ns),
-        level: level as i32,
-        message,
-        name: "robot".to_owned(),
-        file: String::new(),
-        line: 0,
     }
 }
 

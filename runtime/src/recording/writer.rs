@@ -8,6 +8,7 @@ use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use serde::{Deserialize, Serialize};
 
+use super::event_log::EventLog;
 use super::header::SegmentHeader;
 use super::json::{OutsideJson, PoseJson, ScanJson, WheelJson};
 use super::tick::RecordedTick;
@@ -77,6 +78,7 @@ pub struct RecordingWriter<W: Write> {
     chunk_start_ns: Option<u64>,
     chunk_bytes: u64,
     last_goal_m: Option<[f64; 2]>,
+    events: EventLog,
     buffer: Vec<u8>,
 }
 
@@ -103,6 +105,7 @@ impl<W: Write> RecordingWriter<W> {
             chunk_start_ns: None,
             chunk_bytes: 0,
             last_goal_m: None,
+            events: EventLog::default(),
             buffer: Vec::new(),
             header,
         };
@@ -272,8 +275,8 @@ impl<W: Write> RecordingWriter<W> {
             }
         }
         self.last_goal_m = decision.goal_m;
-        for event in &decision.events {
-            self.put_message(Topic::Events, tick, &views::log(event, tick.time_ns))?;
+        for message in self.events.messages(&decision.events, tick.time_ns) {
+            self.put_message(Topic::Events, tick, &message)?;
         }
         Ok(())
     }

@@ -134,7 +134,6 @@ mod tests {
     fn driven(latency_s: f64, noise_rad: f64, frames: u64) -> CameraTime {
         let mut random = Pcg64Mcg::seed_from_u64(7);
         let mut filter = CameraTime::default();
-        let rate = |frame: u64| [0.0, 0.8, -0.5, 0.0, 1.0][(frame / 5 % 5) as usize];
         let mut corrected_before = 0.0;
         for frame in 0..frames {
             let twist = Twist2 { linear_mps: 0.3, angular_radps: rate(frame) };
@@ -148,6 +147,10 @@ mod tests {
             filter.observe(time_ns, &twist, (frame > 0).then_some(yaw_error));
         }
         filter
+    }
+
+    fn rate(frame: u64) -> f64 {
+        [0.0, 0.8, -0.5, 0.0, 1.0][(frame / 5 % 5) as usize]
     }
 
     proptest! {

@@ -229,12 +229,12 @@ impl State for Location {
         self.origin.read(from)?;
         self.localizer = None;
         let Some(geometry) = self.geometry else { return Ok(()) };
-        let damaged = |error: LocalizationError| SnapshotError::Damaged(error.to_string());
         let mut localizer = Localizer::new(&self.config, geometry.into(), self.t_base_laser);
         if let Ok(localizer) = &mut localizer {
             localizer.read(from)?;
         }
-        self.localizer = Some(localizer.map_err(damaged)?);
+        self.localizer =
+            Some(localizer.map_err(|error| SnapshotError::Damaged(error.to_string()))?);
         Ok(())
     }
 }

@@ -681,9 +681,10 @@ impl Robot {
             return;
         }
         let t_map_wheels = self.poses.t_map_base().compose(&input.wheel.odom.inverse());
-        let in_map = |[x_m, y_m]: [f64; 2]| t_map_wheels.transform(x_m, y_m).into();
-        self.collision_at = blocked_m.map(in_map).or(self.collision_at);
-        self.unseen_at = unseen_m.map(in_map).or(self.unseen_at);
+        let [blocked_at, unseen_at] = [blocked_m, unseen_m]
+            .map(|place_m| place_m.map(|[x_m, y_m]| t_map_wheels.transform(x_m, y_m).into()));
+        self.collision_at = blocked_at.or(self.collision_at);
+        self.unseen_at = unseen_at.or(self.unseen_at);
         self.bumped = true;
     }
 

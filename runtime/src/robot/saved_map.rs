@@ -152,8 +152,9 @@ impl Robot {
 }
 
 fn read_made_with(from: &mut &[u8]) -> Result<MadeWith, MapStateError> {
-    let truncated = || MapStateError::Damaged("it is truncated".to_owned());
-    let (version, rest) = from.split_first_chunk().ok_or_else(truncated)?;
+    let (version, rest) = from
+        .split_first_chunk()
+        .ok_or_else(|| MapStateError::Damaged("it is truncated".to_owned()))?;
     let found = u32::from_le_bytes(*version);
     if found != MAP_STATE_VERSION {
         return Err(MapStateError::Version { found });

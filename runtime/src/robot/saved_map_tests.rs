@@ -126,26 +126,30 @@ fn a_map_of_another_configuration_is_refused_by_its_key() {
     let mut first = robot();
     drive(&mut first);
     let state = first.map_state();
-    let refused = |config: RobotConfig| {
-        let mut other = Robot::new(config, None).unwrap();
-        match other.load_map_state(&state) {
-            Err(MapStateError::OtherRobot { key, .. }) => key,
-            other => panic!("{other:?}"),
-        }
-    };
     let map = MapConfig { cell_m: 0.05, ..config().map };
-    assert_eq!(refused(RobotConfig { map, ..config() }), "map.cell_m");
+    assert_eq!(refused_key(&state, RobotConfig { map, ..config() }), "map.cell_m");
     let map = MapConfig { side_cells: 300, ..config().map };
-    assert_eq!(refused(RobotConfig { map, ..config() }), "map.side_cells");
+    assert_eq!(refused_key(&state, RobotConfig { map, ..config() }), "map.side_cells");
     for (t_base_laser, key) in [
         (Pose2::new(0.1, 0.0, 0.0), "lidar.forward_m"),
         (Pose2::new(0.0, 0.1, 0.0), "lidar.left_m"),
         (Pose2::new(0.0, 0.0, 0.1), "lidar.yaw_deg"),
     ] {
-        assert_eq!(refused(RobotConfig { t_base_laser, ..config() }), key);
+        assert_eq!(refused_key(&state, RobotConfig { t_base_laser, ..config() }), key);
     }
     let localization = LocalizationConfig { source: PoseSource::Wheels, ..config().localization };
-    assert_eq!(refused(RobotConfig { localization, ..config() }), "localization.source");
+    assert_eq!(
+        refused_key(&state, RobotConfig { localization, ..config() }),
+        "localization.source"
+    );
+}
+
+fn refused_key(state: &[u8], config: RobotConfig) -> &'static str {
+    let mut other = Robot::new(config, None).unwrap();
+    match other.load_map_state(state) {
+        Err(MapStateError::OtherRobot { key, .. }) => key,
+        other => panic!("{other:?}"),
+    }
 }
 
 #[test]

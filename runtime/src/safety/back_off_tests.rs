@@ -9,8 +9,7 @@ const SECOND_NS: u64 = 1_000_000_000;
 /// before it tripped.
 fn tripped_after_standing(stands_s: u64, before_m: f64) -> Room {
     let mut room = Room::new(2.0, Pose2::new(1.0, 0.0, 0.0));
-    let tripped_at = |room: &Room| room.half_m - 0.16 - 0.1 - room.pose.x_m;
-    while tripped_at(&room) > before_m {
+    while room.half_m - 0.16 - 0.1 - room.pose.x_m > before_m {
         room.tick(FORWARD);
     }
     (0..stands_s * SECOND_NS / TICK_NS).for_each(|_| _ = room.tick(Twist2::ZERO));
@@ -94,17 +93,19 @@ fn a_scanner_that_sees_all_around_backs_off_over_what_it_sees() {
     let config = SafetyConfig::default();
     let mut rear = RearMemory::new(config.rear_memory_s);
     let surroundings = Surroundings::new(&config);
-    let footprint = Footprint::new(config.footprint_radius_m, &config.footprint_m);
     let mut scan = super::super::surroundings::tests::scan_of(|_| Range::Hit(2.0));
     for yaw_rad in [0.0, 3.0] {
         rear.record_scan(&scan, &Pose2::new(0.0, 0.0, yaw_rad), &surroundings);
     }
-    let known_m = |rear: &RearMemory, now_ns| {
-        rear.known_free_m(now_ns, &Pose2::IDENTITY, &footprint, config.back_off_m)
-    };
     assert_eq!(known_m(&rear, 5 * SECOND_NS), 0.2, "five seconds are not too long");
     assert_eq!(known_m(&rear, 5 * SECOND_NS + 1), 0.0);
     scan.time_ns = SECOND_NS;
     rear.record_scan(&scan, &Pose2::new(0.0, 0.0, 3.0), &surroundings);
     assert_eq!(known_m(&rear, 6 * SECOND_NS), 0.2, "seen again in the meantime");
+}
+
+fn known_m(rear: &RearMemory, now_ns: u64) -> f64 {
+    let config = SafetyConfig::default();
+    let footprint = Footprint::new(config.footprint_radius_m, &config.footprint_m);
+    rear.known_free_m(now_ns, &Pose2::IDENTITY, &footprint, config.back_off_m)
 }

@@ -146,23 +146,24 @@ mod tests {
         (from_deg..to_deg).contains(&angle.to_degrees())
     }
 
+    /// This range within `half_deg` of straight ahead, and hits elsewhere.
+    fn ahead(half_deg: f64, range: Range) -> impl Fn(f64) -> Range {
+        move |angle| if within(angle, -half_deg, half_deg) { range } else { Range::Hit(2.0) }
+    }
+
     #[test]
     fn error_beams_blind_the_way_ahead_from_five_degrees_on() {
         for (half_deg, blind) in [(1.0, false), (1.9, false), (2.5, true), (67.0, true)] {
-            let seen = |angle: f64| {
-                if within(angle, -half_deg, half_deg) { Range::Error } else { Range::Hit(2.0) }
-            };
-            assert_eq!(is_blind(seen, (0.3, 0.0)), blind, "{half_deg} degrees to each side");
+            let is_blind = is_blind(ahead(half_deg, Range::Error), (0.3, 0.0));
+            assert_eq!(is_blind, blind, "{half_deg} degrees to each side");
         }
     }
 
     #[test]
     fn beams_without_a_return_blind_the_way_ahead_from_thirty_degrees_on() {
         for (half_deg, blind) in [(5.0, false), (13.0, false), (16.0, true), (90.0, true)] {
-            let seen = |angle: f64| {
-                if within(angle, -half_deg, half_deg) { Range::NoReturn } else { Range::Hit(2.0) }
-            };
-            assert_eq!(is_blind(seen, (0.3, 0.0)), blind, "{half_deg} degrees to each side");
+            let is_blind = is_blind(ahead(half_deg, Range::NoReturn), (0.3, 0.0));
+            assert_eq!(is_blind, blind, "{half_deg} degrees to each side");
         }
     }
 
@@ -182,20 +183,22 @@ mod tests {
 
     #[test]
     fn what_is_not_seen_behind_and_beside_the_robot_does_not_matter() {
-        let blind_beside = |angle: f64| {
-            if angle.abs() > 1.2 { Range::Error } else { Range::Hit(2.0) }
-        };
         assert!(!is_blind(blind_beside, (0.3, 0.0)));
+    }
+
+    fn blind_beside(angle: f64) -> Range {
+        if angle.abs() > 1.2 { Range::Error } else { Range::Hit(2.0) }
     }
 
     #[test]
     fn on_an_arc_the_way_ahead_lies_on_the_side_of_the_arc() {
-        let blind_left = |angle: f64| {
-            if within(angle, 60.0, 80.0) { Range::Error } else { Range::Hit(2.0) }
-        };
         assert!(!is_blind(blind_left, (0.3, 0.0)));
         assert!(is_blind(blind_left, (0.1, 0.4)));
         assert!(!is_blind(blind_left, (0.1, -0.4)));
+    }
+
+    fn blind_left(angle: f64) -> Range {
+        if within(angle, 60.0, 80.0) { Range::Error } else { Range::Hit(2.0) }
     }
 
     #[test]

@@ -60,12 +60,12 @@ impl Footprint {
     pub fn widened(&self, margin_m: f64) -> Self {
         match self {
             Self::Round { radius_m } => Self::Round { radius_m: radius_m + margin_m },
-            Self::Corners { corners_m } => {
-                let out = |at_m: f64| at_m + margin_m.copysign(at_m);
-                Self::Corners {
-                    corners_m: corners_m.iter().map(|[x, y]| [out(*x), out(*y)]).collect(),
-                }
-            }
+            Self::Corners { corners_m } => Self::Corners {
+                corners_m: corners_m
+                    .iter()
+                    .map(|corner_m| corner_m.map(|at_m| at_m + margin_m.copysign(at_m)))
+                    .collect(),
+            },
         }
     }
 

@@ -119,10 +119,6 @@ fn slowing_and_clearing_are_each_reported_once() {
 
 #[test]
 fn the_back_off_begins_after_half_a_second_even_if_the_wheels_never_stand_still() {
-    let blind = || {
-        let config = SafetyConfig { blind_back_off_m: 0.05, ..SafetyConfig::default() };
-        Room::with(config, 2.0, Pose2::new(1.75, 0.0, 0.0))
-    };
     for rolling in [(0.021, 0.0), (-0.021, 0.0), (0.0, 0.051), (0.0, -0.051)] {
         let mut room = blind();
         room.until(FORWARD, tripped);
@@ -142,6 +138,11 @@ fn the_back_off_begins_after_half_a_second_even_if_the_wheels_never_stand_still(
         room.driving = Twist2 { linear_mps: standing.0, angular_radps: standing.1 };
         assert!(room.tick(FORWARD).twist().linear_mps < 0.0, "{standing:?}");
     }
+}
+
+fn blind() -> Room {
+    let config = SafetyConfig { blind_back_off_m: 0.05, ..SafetyConfig::default() };
+    Room::with(config, 2.0, Pose2::new(1.75, 0.0, 0.0))
 }
 
 /// Trips the safety plane at `at`. A fault that clears itself then ends the back-off, so that only

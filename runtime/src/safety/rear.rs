@@ -401,14 +401,23 @@ mod tests {
         });
         rear.record_scan(&round_room(3.0), &Pose2::new(0.0, 0.0, 1.7), &no_body());
         rear.record_scan(&post, &Pose2::new(0.0, 0.0, looked_rad), &no_body());
-        let known_m = |y_m: f64| rear.known_free_m(0, &Pose2::new(0.0, y_m, 0.0), &ROUND, 1.0);
         // The robot would hit its edge at 190 degrees and pass beside its middle.
         let far_m = 0.7 * 10f64.to_radians().cos();
         let aside_m = 0.7 * 10f64.to_radians().sin();
-        let gap_m = |aside_m: f64| far_m - (0.16 * 0.16 - aside_m * aside_m).sqrt();
-        assert!((known_m(0.0) - gap_m(aside_m)).abs() < 1e-6, "{}", known_m(0.0));
-        assert!((known_m(-0.06) - gap_m(aside_m - 0.06)).abs() < 1e-6, "{}", known_m(-0.06));
-        assert_eq!(known_m(0.06), 1.0, "beside it");
+        let straight_m = known_m(&rear, 0.0);
+        assert!((straight_m - gap_m(far_m, aside_m)).abs() < 1e-6, "{straight_m}");
+        let beside_m = known_m(&rear, -0.06);
+        assert!((beside_m - gap_m(far_m, aside_m - 0.06)).abs() < 1e-6, "{beside_m}");
+        assert_eq!(known_m(&rear, 0.06), 1.0, "beside it");
+    }
+
+    fn known_m(rear: &RearMemory, y_m: f64) -> f64 {
+        rear.known_free_m(0, &Pose2::new(0.0, y_m, 0.0), &ROUND, 1.0)
+    }
+
+    /// How far the round robot drives until its edge is at a point, `far_m` ahead and `aside_m` to the side.
+    fn gap_m(far_m: f64, aside_m: f64) -> f64 {
+        far_m - (0.16 * 0.16 - aside_m * aside_m).sqrt()
     }
 
     #[test]

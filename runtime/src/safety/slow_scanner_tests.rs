@@ -39,11 +39,11 @@ fn config(reaction_s: f64, period_ns: u64) -> SafetyConfig {
 
 /// All beams as measured at the beginning of the scan: the oldest that they can be.
 fn scan(time_ns: u64, x_m: f64, geometry: ScanGeometry) -> LaserScan {
-    let range = |beam| {
+    let ranges = (0..geometry.beams).map(|beam| {
         let cos = geometry.angle_rad(beam).cos();
         if cos > 0.1 { Range::Hit(((WALL_M - x_m) / cos) as f32) } else { Range::Hit(4.0) }
-    };
-    LaserScan { time_ns, geometry, ranges: (0..geometry.beams).map(range).collect() }
+    });
+    LaserScan { time_ns, geometry, ranges: ranges.collect() }
 }
 
 /// How the approach to the wall went.

@@ -458,12 +458,21 @@ pub(super) mod tests {
             }
             seen
         }
-        let every_second = |beam| if beam % 2 == 0 { Range::Hit(0.2) } else { Range::NoReturn };
         assert_eq!(obstacle_after_scans(every_second), [false, true]);
-        let rough = |beam| Range::Hit(0.2 + 0.09 * (beam % 2) as f32);
         assert_eq!(obstacle_after_scans(rough), [false, true]);
-        let single = |beam| if beam == 540 { Range::Hit(0.2) } else { Range::Hit(3.0) };
         assert_eq!(obstacle_after_scans(single), [false, false]);
+    }
+
+    fn every_second(beam: usize) -> Range {
+        if beam.is_multiple_of(2) { Range::Hit(0.2) } else { Range::NoReturn }
+    }
+
+    fn rough(beam: usize) -> Range {
+        Range::Hit(0.2 + 0.09 * (beam % 2) as f32)
+    }
+
+    fn single(beam: usize) -> Range {
+        if beam == 540 { Range::Hit(0.2) } else { Range::Hit(3.0) }
     }
 
     #[test]

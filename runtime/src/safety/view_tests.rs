@@ -146,19 +146,26 @@ fn a_scanner_that_repeats_one_scan_while_the_robot_stands_is_not_frozen() {
 #[test]
 fn scans_that_differ_in_one_beam_have_different_digests() {
     let scan = driving().scan();
-    let with = |range| {
-        let mut other = scan.clone();
-        other.ranges[0] = range;
-        digest_of(&other)
-    };
-    let one_bit = |bit: u32| Range::Hit(f32::from_bits(2.0_f32.to_bits() ^ (1_u32 << bit)));
-    let mut digests: Vec<u64> = (0..32).map(|bit| with(one_bit(bit))).collect();
+    let mut digests: Vec<u64> = (0..32).map(|bit| digest_with(&scan, with_one_bit(bit))).collect();
     // Bit 30 makes 2 m to 0 m.
-    digests.extend([Range::NoReturn, Range::TooNear, Range::Error].map(with));
+    digests.extend(
+        [Range::NoReturn, Range::TooNear, Range::Error].map(|range| digest_with(&scan, range)),
+    );
     let count = digests.len();
     digests.sort_unstable();
     digests.dedup();
     assert_eq!(digests.len(), count);
+}
+
+fn digest_with(scan: &LaserScan, range: Range) -> u64 {
+    let mut other = scan.clone();
+    other.ranges[0] = range;
+    digest_of(&other)
+}
+
+/// 2 m with another value of one bit.
+fn with_one_bit(bit: u32) -> Range {
+    Range::Hit(f32::from_bits(2.0_f32.to_bits() ^ (1_u32 << bit)))
 }
 
 #[test]

@@ -220,9 +220,11 @@ fn the_record_holds_every_command_that_the_motors_received_through_stops_and_bac
     let received = &corridor.lock().unwrap().received;
     assert_eq!(sent, received[..sent.len()]);
     assert!(received.len() - sent.len() <= 10, "only those after the last tick are missing");
-    let is_stop = |sent: &SentCommand| sent.counter.is_none();
     assert!(sent.iter().any(|sent| sent.linear_mps < 0.0), "it backed off from the wall");
-    assert!(sent.iter().any(is_stop) && sent.iter().any(|sent| sent.linear_mps > 0.25));
+    assert!(
+        sent.iter().any(|sent| sent.counter.is_none())
+            && sent.iter().any(|sent| sent.linear_mps > 0.25)
+    );
     let tripped =
         |event: &Event| matches!(event, Event::Safety { what: SafetyEvent::Tripped { .. } });
     assert!(record.ticks.iter().any(|(decision, _)| decision.events.iter().any(tripped)));
@@ -235,10 +237,11 @@ fn a_decision_holds_the_desired_command_and_the_sent_one_that_was_in_force() {
     for (decision, report) in &record.ticks {
         assert_eq!(decision.sent, report.sent.last().map(SentCommand::command));
     }
-    let differs = |(decision, _): &&(Decision, SafetyReport)| {
-        decision.sent.is_some_and(|sent| sent.linear_mps < 0.0)
-    };
-    let backing_off = record.ticks.iter().find(differs).expect("it backs off");
+    let backing_off = record
+        .ticks
+        .iter()
+        .find(|(decision, _)| decision.sent.is_some_and(|sent| sent.linear_mps < 0.0))
+        .expect("it backs off");
     assert_eq!(backing_off.0.desired, Command::default(), "the policy waits meanwhile");
 }
 
@@ -321,11 +324,12 @@ fn a_lost_robot_searches_its_place_unless_a_person_has_paused_it_and_can_be_driv
 
 #[test]
 fn two_sessions_of_the_same_devices_decide_the_same() {
-    let decisions = || {
-        let (mut session, _) = session();
-        recorded(&mut session, 150).ticks
-    };
     assert_eq!(decisions(), decisions());
+}
+
+fn decisions() -> Vec<(Decision, SafetyReport)> {
+    let (mut session, _) = session();
+    recorded(&mut session, 150).ticks
 }
 
 #[test]

@@ -68,23 +68,26 @@ impl WheelHistory {
             });
         };
         let share = (time_ns - before.time_ns) as f64 / (after.time_ns - before.time_ns) as f64;
-        let mix = |a: f64, b: f64| a + share * (b - a);
         let yaw_rad =
             before.odom.yaw_rad + share * wrap_angle(after.odom.yaw_rad - before.odom.yaw_rad);
         Some(WheelFeedback {
             time_ns,
             odom: Pose2::new(
-                mix(before.odom.x_m, after.odom.x_m),
-                mix(before.odom.y_m, after.odom.y_m),
+                mix(before.odom.x_m, after.odom.x_m, share),
+                mix(before.odom.y_m, after.odom.y_m, share),
                 yaw_rad,
             ),
             twist: Twist2 {
-                linear_mps: mix(before.twist.linear_mps, after.twist.linear_mps),
-                angular_radps: mix(before.twist.angular_radps, after.twist.angular_radps),
+                linear_mps: mix(before.twist.linear_mps, after.twist.linear_mps, share),
+                angular_radps: mix(before.twist.angular_radps, after.twist.angular_radps, share),
             },
             contact: newest.contact,
         })
     }
+}
+
+fn mix(a: f64, b: f64, share: f64) -> f64 {
+    a + share * (b - a)
 }
 
 #[cfg(test)]

@@ -43,9 +43,11 @@ pub(crate) fn with_checksums(mut bytes: &[u8], topics: &[&str]) -> Vec<u8> {
         .compression(None)
         .create(Cursor::new(Vec::new()))
         .expect("writing to memory succeeds");
-    let channel = |topic: &&str| writer.add_channel(0, topic, "", &BTreeMap::new());
-    let channels: Vec<u16> =
-        topics.iter().map(channel).collect::<Result<_, _>>().expect("few channels");
+    let channels: Vec<u16> = topics
+        .iter()
+        .map(|topic| writer.add_channel(0, topic, "", &BTreeMap::new()))
+        .collect::<Result<_, _>>()
+        .expect("few channels");
     while let Some((&[channel, low, high], rest)) = bytes.split_first_chunk() {
         let (data, rest) =
             rest.split_at(usize::from(u16::from_le_bytes([low, high])).min(rest.len()));

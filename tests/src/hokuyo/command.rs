@@ -87,12 +87,11 @@ fn play(args: &HokuyoArgs, device: &SimulatedHokuyo) -> Result<(), Box<dyn Error
             break;
         }
         for event in &args.faults.events {
-            let is_due = |at_s: f64| (at_s * 10.0).round() as u64 == step;
-            if is_due(event.begin_s) {
+            if is_due(event.begin_s, step) {
                 println!("{now_s:6.1} s  {} begins", event.kind);
                 begin(device, event.kind, event.end_s - event.begin_s, args.faults.wire);
             }
-            if is_due(event.end_s) {
+            if is_due(event.end_s, step) {
                 println!("{now_s:6.1} s  {} ends", event.kind);
                 end(device, event.kind, args.faults.wire)?;
             }
@@ -111,6 +110,10 @@ fn play(args: &HokuyoArgs, device: &SimulatedHokuyo) -> Result<(), Box<dyn Error
         }
     }
     Ok(())
+}
+
+fn is_due(at_s: f64, step: u64) -> bool {
+    (at_s * 10.0).round() as u64 == step
 }
 
 fn begin(device: &SimulatedHokuyo, kind: EventKind, length_s: f64, wire: WireFaults) {

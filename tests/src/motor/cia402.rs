@@ -108,44 +108,48 @@ impl Cia402Sim {
         self.dictionary.get(&(index, sub)).map_or(0, |(value, _)| *value)
     }
 
+    fn is_off(&self, pdo: u16) -> bool {
+        self.value(pdo, 1) & 0x8000_0000 != 0
+    }
+
     fn on_sdo(&mut self, data: &[u8; 8]) {
         let [command, i0, i1, sub, rest @ ..] = *data;
         let index = u16::from_le_bytes([i0, i1]);
-        let abort = |code: u32| [&[0x80, i0, i1, sub][..], &code.to_le_bytes()].concat();
         let known = self.dictionary.get(&(index, sub)).copied();
         let has_index = self.dictionary.keys().any(|(known, _)| *known == index);
         let answer = match (command >> 5, known) {
-            (_, None) => abort(if has_index { 0x0609_0011 } else { 0x0602_0000 }),
+            (_, None) => Err(if has_index { 0x0609_0011 } else { 0x0602_0000 }),
             (2, Some((value, bytes))) => {
                 let mut value = value.to_le_bytes();
                 value.iter_mut().skip(usize::from(bytes)).for_each(|byte| *byte = 0);
-                [&[0x43 | (4 - bytes) << 2, i0, i1, sub][..], &value].concat()
+                Ok([&[0x43 | (4 - bytes) << 2, i0, i1, sub][..], &value].concat())
             }
-            (1, Some(_)) if command & 0x02 == 0 => abort(0x0504_0001),
+            (1, Some(_)) if command & 0x02 == 0 => Err(0x0504_0001),
             (1, Some((_, bytes))) => {
                 let sent = 4 - (command >> 2 & 3);
                 if command & 1 != 0 && sent != bytes {
-                    abort(0x0607_0010)
+                    Err(0x0607_0010)
                 } else {
                     self.write(index, sub, u32::from_le_bytes(rest))
-                        .map_or_else(abort, |()| vec![0x60, i0, i1, sub, 0, 0, 0, 0])
+                        .map(|()| vec![0x60, i0, i1, sub, 0, 0, 0, 0])
                 }
             }
-            _ => abort(0x0504_0001),
+            _ => Err(0x0504_0001),
         };
+        let answer = answer
+            .unwrap_or_else(|code: u32| [&[0x80, i0, i1, sub][..], &code.to_le_bytes()].concat());
         self.answers.push(standard(0x580 + u16::from(self.node), &answer));
     }
 
     fn write(&mut self, index: u16, sub: u8, value: u32) -> Result<(), u32> {
-        let is_off = |index: u16| self.value(index, 1) & 0x8000_0000 != 0;
         match index {
             0x1000 | 0x1001 | 0x1008 | 0x1018 | 0x6041 | 0x6061 | 0x6064 | 0x606c | 0x6079 => {
                 return Err(0x0601_0002);
             }
             // A PDO can be mapped only while it is off, and an entry changed only while the count
             // is zero.
-            0x1600 if !is_off(0x1400) => return Err(0x0601_0000),
-            0x1a00 | 0x1a01 if !is_off(index - 0x200) => return Err(0x0601_0000),
+            0x1600 if !self.is_off(0x1400) => return Err(0x0601_0000),
+            0x1a00 | 0x1a01 if !self.is_off(index - 0x200) => return Err(0x0601_0000),
             0x1600 | 0x1a00 | 0x1a01 if sub > 0 && self.value(index, 0) != 0 => {
                 return Err(0x0601_0000);
             }

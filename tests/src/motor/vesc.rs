@@ -143,15 +143,16 @@ impl MotorNode for VescSim {
             let rotations_per_s = velocity / TAU;
             let erpm = (rotations_per_s * 60.0 * f64::from(POLE_PAIRS)).round() as i32;
             let steps = (position / TAU * 6.0 * f64::from(POLE_PAIRS)).floor() as i32;
-            let id = |kind: u32| kind << 8 | u32::from(self.node);
+            let node = u32::from(self.node);
             let supply = self.faults.supply;
-            let tenths = |value: f64| ((10.0 * value).round() as i16).to_be_bytes();
             let voltage = tenths(supply.voltage_v);
-            out.push(extended(id(27), &[&steps.to_be_bytes()[..], &voltage, &[0, 0]].concat()));
+            let status_5 = [&steps.to_be_bytes()[..], &voltage, &[0, 0]].concat();
+            out.push(extended(27 << 8 | node, &status_5));
             let status_4 =
                 [supply.inverter_c, supply.motor_c, supply.current_a, 0.0].map(tenths).concat();
-            out.push(extended(id(16), &status_4));
-            out.push(extended(id(9), &[&erpm.to_be_bytes()[..], &[0, 0, 0, 0]].concat()));
+            out.push(extended(16 << 8 | node, &status_4));
+            let status = [&erpm.to_be_bytes()[..], &[0, 0, 0, 0]].concat();
+            out.push(extended(9 << 8 | node, &status));
         }
     }
 
@@ -174,4 +175,8 @@ impl MotorNode for VescSim {
     fn is_powered(&self) -> bool {
         matches!(self.command, Drive::Velocity(_))
     }
+}
+
+fn tenths(value: f64) -> [u8; 2] {
+    ((10.0 * value).round() as i16).to_be_bytes()
 }

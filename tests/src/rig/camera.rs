@@ -147,12 +147,14 @@ fn write_frames(frames: &[Vec<u8>]) -> Result<Child, Box<dyn Error>> {
         .spawn()?)
 }
 
+fn is_known(frame: &BorrowedFrame<'_>, frames: &[Vec<u8>]) -> bool {
+    frames.iter().any(|known| known[..] == *frame.view.data())
+}
+
 fn exact_frames(bench: &mut Bench, frames: &[Vec<u8>]) -> Result<(), Box<dyn Error>> {
     // Before the writer's first frame vivid shows its own test pattern.
-    let known =
-        |frame: &BorrowedFrame<'_>| frames.iter().any(|known| known[..] == *frame.view.data());
     bench.until("the writer's first frame", |polled| {
-        polled.is_ok_and(|frame| frame.is_some_and(known))
+        polled.is_ok_and(|frame| frame.is_some_and(|frame| is_known(frame, frames)))
     })?;
     let mut exact = 0;
     let mut count = 0;
@@ -162,7 +164,7 @@ fn exact_frames(bench: &mut Bench, frames: &[Vec<u8>]) -> Result<(), Box<dyn Err
     let ms = bench.until("60 frames", |polled| {
         if let Ok(Some(frame)) = polled {
             ages.push(monotonic_ns() as i64 - frame.time_ns as i64);
-            exact += u32::from(known(frame));
+            exact += u32::from(is_known(frame, frames));
             rising &= last < (frame.sequence, frame.time_ns);
             last = (frame.sequence, frame.time_ns);
             count += 1;

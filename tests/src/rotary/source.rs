@@ -55,7 +55,8 @@ mod tests {
 
     #[test]
     fn the_room_shows_its_walls_and_the_walking_person() {
-        let mm = |degrees: f64| packet_mm(CircleRoom.range(0, degrees.to_radians()));
-        assert_eq!((mm(0.0), mm(90.0), mm(180.0)), (1300, 2000, 3000));
+        let ranges_mm = [0.0_f64, 90.0, 180.0]
+            .map(|degrees| packet_mm(CircleRoom.range(0, degrees.to_radians())));
+        assert_eq!(ranges_mm, [1300, 2000, 3000]);
     }
 }

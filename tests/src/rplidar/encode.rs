@@ -32,8 +32,8 @@ pub(super) fn capsule(is_new: bool, degrees: f64, body: &[u8]) -> Vec<u8> {
 
 /// Five bytes of a capsule: two distances in millimetres with their corrections in eighths of a degree.
 pub(super) fn cabin([first, second]: [(u16, u8); 2]) -> [u8; 5] {
-    let word = |(distance_mm, correction): (u16, u8)| distance_mm * 4 + u16::from(correction / 16);
-    let [a, b] = word(first).to_le_bytes();
-    let [c, d] = word(second).to_le_bytes();
+    let [[a, b], [c, d]] = [first, second].map(|(distance_mm, correction)| {
+        (distance_mm * 4 + u16::from(correction / 16)).to_le_bytes()
+    });
     [a, b, c, d, first.1 % 16 + second.1 % 16 * 16]
 }

@@ -130,11 +130,10 @@ impl Device {
     pub fn control(&self, id: u32) -> Result<Control, Errno> {
         let next = id & NEXT_CONTROL != 0;
         let id = id & !NEXT_CONTROL;
-        let fits = |control: &Control| if next { control.id > id } else { control.id == id };
         self.controls
             .iter()
             .map(|(control, _)| control)
-            .find(|control| fits(control))
+            .find(|control| if next { control.id > id } else { control.id == id })
             .cloned()
             .ok_or(Errno::INVAL)
     }

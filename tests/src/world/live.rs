@@ -138,9 +138,9 @@ impl LiveWorld {
         let wheels = Arc::clone(&live.wheels);
         let running = Arc::clone(&live.running);
         let late_ns = Arc::clone(&live.worst_late_ns);
-        let motors = move || run_motors(&home, &wheels, bus, &running, &late_ns);
+        let motors = std::thread::Builder::new().name("simulated-motors".to_owned());
         live.threads
-            .push(std::thread::Builder::new().name("simulated-motors".to_owned()).spawn(motors)?);
+            .push(motors.spawn(move || run_motors(&home, &wheels, bus, &running, &late_ns))?);
         let camera = HomeCamera {
             home: live.home.clone(),
             model: options.camera,

@@ -261,16 +261,17 @@ fn a_press_of_the_boards_emergency_stop_counts_even_if_it_is_over_within_one_tic
 fn a_late_frame_of_the_safety_board_releases_no_emergency_stop() {
     let mut rig = driving(Protocol::Odrive);
     let mut board = rig.host.connect();
-    let mut send = |rig: &mut Rig, counter, estop| {
-        let _ = board.send(&SafetyInput { counter, estop, bumper: false }.encode());
-        (0..5).for_each(|_| rig.poll());
-    };
-    send(&mut rig, 5, false);
-    send(&mut rig, 6, true);
+    send(5, false, &mut board, &mut rig);
+    send(6, true, &mut board, &mut rig);
     (0..100).for_each(|_| rig.poll());
     // Four frames older than the press.
-    send(&mut rig, 2, false);
+    send(2, false, &mut board, &mut rig);
     assert_eq!(rig.base.check(), Err(CanError::Tripped(Trip::EmergencyStop)));
+}
+
+fn send(counter: u8, estop: bool, board: &mut MemoryBus, rig: &mut Rig) {
+    let _ = board.send(&SafetyInput { counter, estop, bumper: false }.encode());
+    (0..5).for_each(|_| rig.poll());
 }
 
 /// Uses a Unix socket, whose driver allocates no more than that of SocketCAN; the bus in memory

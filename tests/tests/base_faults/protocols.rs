@@ -179,10 +179,6 @@ fn the_fault_code_of_another_vesc_is_not_that_of_this_one() {
 fn a_vesc_whose_brake_current_is_no_number_is_refused() {
     for brake_a in [f32::NAN, f32::INFINITY] {
         let mut motor = vesc();
-        let mut deliver = |kind: u32, data: &[u8]| {
-            let id = CanId::Extended(kind << 8 | u32::from(HOST));
-            assert!(motor.receive(&CanFrame::new(id, data).expect("a valid frame"), 0));
-        };
         let bytes = [
             &[17, 0, 0, 0, 0, 1][..],
             &80_u32.to_be_bytes(),
@@ -192,12 +188,17 @@ fn a_vesc_whose_brake_current_is_no_number_is_refused() {
         ]
         .concat();
         for (at, piece) in bytes.chunks(6).enumerate() {
-            deliver(6, &[&(6 * at as u16).to_be_bytes()[..], piece].concat());
+            deliver(6, &[&(6 * at as u16).to_be_bytes()[..], piece].concat(), &mut motor);
         }
         let [c0, c1] = crc16(bytes.iter().copied()).to_be_bytes();
-        deliver(7, &[1, 0, 0, bytes.len() as u8, c0, c1]);
+        deliver(7, &[1, 0, 0, bytes.len() as u8, c0, c1], &mut motor);
         let problem = MotorProblem::Mismatch { request: "application configuration" };
         assert_eq!(motor.status().stage, MotorStage::Refused, "{brake_a}");
         assert_eq!((motor.status().problem, motor.status().watchdog_ms), (Some(problem), None));
     }
+}
+
+fn deliver(kind: u32, data: &[u8], motor: &mut Vesc) {
+    let id = CanId::Extended(kind << 8 | u32::from(HOST));
+    assert!(motor.receive(&CanFrame::new(id, data).expect("a valid frame"), 0));
 }

@@ -117,16 +117,18 @@ fn samples<const N: usize>(
             let row = cell / columns * 4 + 1;
             let column = cell % columns * 4 + 1;
             let truth_m = truth.values()[row * width + column];
-            let is_right = |inverse_depth: f32| {
-                let ratio = inverse_depth * truth_m;
-                ratio > 0.8 && ratio < 1.25
-            };
             if truth_m > 0.0
-                && let Some((features, right)) = sample(&candidates, &is_right)
+                && let Some((features, right)) =
+                    sample(&candidates, &|inverse_depth| is_right(inverse_depth, truth_m))
             {
                 samples.add(features, right);
             }
         }
     }
     Ok(samples)
+}
+
+fn is_right(inverse_depth: f32, truth_m: f32) -> bool {
+    let ratio = inverse_depth * truth_m;
+    ratio > 0.8 && ratio < 1.25
 }

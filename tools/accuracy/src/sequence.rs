@@ -210,14 +210,17 @@ impl Observer for Views {
 pub fn recorded(folder: &Path) -> Result<Sequence> {
     let config = Config::default();
     let dataset = Dataset::open(folder, config.camera.width, config.camera.height)?;
-    let view = |sample: firmware_host::dataset::Sample| View {
-        rgb: sample.rgb,
-        truth: sample.truth,
-        t_odom_camera: sample.t_world_camera,
-        scan: None,
-        moment: Moment::HANDHELD,
-    };
-    let views = dataset.samples().map(|sample| Ok(view(sample?))).collect::<Result<Vec<_>>>();
+    let views = dataset.samples().map(|sample| {
+        let sample = sample?;
+        Ok(View {
+            rgb: sample.rgb,
+            truth: sample.truth,
+            t_odom_camera: sample.t_world_camera,
+            scan: None,
+            moment: Moment::HANDHELD,
+        })
+    });
+    let views = views.collect::<Result<Vec<_>>>();
     let name = folder.file_name().context("a dataset needs a name")?.to_string_lossy().into_owned();
     Ok(Sequence { name, camera: *dataset.camera(), mount: None, views: views? })
 }

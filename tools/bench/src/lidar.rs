@@ -44,17 +44,19 @@ fn decode(what: &str, request: &scip::Request, message: &[u8]) -> Result<Row> {
     let mut ranges = vec![Range::Error; request.beams()];
     Reply::read(message, request, &codes, &mut ranges)?;
     ensure!(textbook(message, &codes).as_deref() == Some(&ranges[..]), "the two decoders differ");
-    let ours = || {
-        for _ in 0..SCANS {
-            _ = black_box(Reply::read(black_box(message), request, &codes, &mut ranges));
-        }
-    };
-    let theirs = || {
-        (0..SCANS)
-            .map(|_| textbook(black_box(message), &codes))
-            .fold(0, |sum, scan| sum + scan.map_or(0, |scan| scan.len()))
-    };
-    let (ours, theirs) = time_against(RUNS, ours, theirs);
+    let (ours, theirs) = time_against(
+        RUNS,
+        || {
+            for _ in 0..SCANS {
+                _ = black_box(Reply::read(black_box(message), request, &codes, &mut ranges));
+            }
+        },
+        || {
+            (0..SCANS)
+                .map(|_| textbook(black_box(message), &codes))
+                .fold(0, |sum, scan| sum + scan.map_or(0, |scan| scan.len()))
+        },
+    );
     let bytes = message.len() * SCANS;
     Ok(Row::new(
         AREA,

@@ -255,8 +255,11 @@ fn searches() -> Result<Vec<Row>> {
         let mut planner = Planner::new(usize::MAX);
         let path = planner.plan(&costmap, field.start, field.goal).context(field.name)?;
         let note = format!("{} cells long", path.len());
-        let ours = || planner.plan(&costmap, field.start, field.goal).map(<[Cell]>::len).ok();
-        let (ours, peer) = time_against(5, ours, || field.peer());
+        let (ours, peer) = time_against(
+            5,
+            || planner.plan(&costmap, field.start, field.goal).map(<[Cell]>::len).ok(),
+            || field.peer(),
+        );
         rows.push(row(field.name, ours, Some(peer), Some((15.0, 5.0)), &note));
     }
     Ok(rows)

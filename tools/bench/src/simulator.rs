@@ -29,15 +29,16 @@ pub fn rows() -> anyhow::Result<Vec<Row>> {
     let light = Lighting::default();
     let mut rgb = Vec::new();
     let mut depth = DepthMap::none(0, 0);
-    let mut render = || {
-        for pose in &views {
-            renderer.render(&camera, pose, &[], &light, &mut rgb, &mut depth);
-        }
-    };
     let rays = SingleRays::new(&scene);
-    let (ours, peer) = time_against(7, &mut render, || {
-        views.iter().map(|pose| rays.depth(&camera, pose)).sum::<f32>()
-    });
+    let (ours, peer) = time_against(
+        7,
+        || {
+            for pose in &views {
+                renderer.render(&camera, pose, &[], &light, &mut rgb, &mut depth);
+            }
+        },
+        || views.iter().map(|pose| rays.depth(&camera, pose)).sum::<f32>(),
+    );
     let images = Row::per_second(
         AREA,
         format!("RGB + depth 640x192, {count} triangles"),
@@ -188,13 +189,13 @@ fn patch(
     rows: usize,
     at: impl Fn(f32, f32) -> [f32; 3],
 ) {
-    let vertex = |i: usize, j: usize| {
-        let u = i as f32 / columns as f32;
-        let v = j as f32 / rows as f32;
-        Vertex { position_m: at(u, v), uv: [u * 4.0, v * 2.0], ambient: 0.9 }
-    };
     for (i, j) in (0..columns).flat_map(|i| (0..rows).map(move |j| (i, j))) {
-        let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)];
+        let corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)];
+        let [a, b, c, d] = corners.map(|(i, j)| {
+            let u = i as f32 / columns as f32;
+            let v = j as f32 / rows as f32;
+            Vertex { position_m: at(u, v), uv: [u * 4.0, v * 2.0], ambient: 0.9 }
+        });
         out.extend([[a, b, c], [a, c, d]].map(|vertices| Triangle { vertices, material }));
     }
 }

@@ -76,24 +76,27 @@ fn row(parameter: Parameter, outcomes: &[Outcome]) -> String {
     let errors: Vec<f64> = observed.iter().map(|outcome| outcome.error.abs()).collect();
     let before: Vec<f64> = outcomes.iter().map(|outcome| outcome.before.abs()).collect();
     let sigmas: Vec<f64> = observed.iter().map(|outcome| outcome.sigma).collect();
-    let is_covered = |outcome: &&&Outcome| outcome.error.abs() <= 2.0 * outcome.sigma;
-    let covered = observed.iter().filter(is_covered).count();
-    let (scale, unit) = shown(parameter);
-    let number = |values: Vec<f64>, share: f64| match percentile(values, share) {
-        Some(value) => format!("{:.3}{unit}", scale * value),
-        None => String::new(),
-    };
+    let covered =
+        observed.iter().filter(|outcome| outcome.error.abs() <= 2.0 * outcome.sigma).count();
     format!(
         "| {} | {} of {} | {} | {} | {} | {} | {covered} of {} |",
         nature.name,
         observed.len(),
         outcomes.len(),
-        number(before, 0.9),
-        number(errors.clone(), 0.5),
-        number(errors, 0.9),
-        number(sigmas, 0.5),
+        quantile(before, 0.9, parameter),
+        quantile(errors.clone(), 0.5, parameter),
+        quantile(errors, 0.9, parameter),
+        quantile(sigmas, 0.5, parameter),
         observed.len()
     )
+}
+
+fn quantile(values: Vec<f64>, share: f64, parameter: Parameter) -> String {
+    let (scale, unit) = shown(parameter);
+    match percentile(values, share) {
+        Some(value) => format!("{:.3}{unit}", scale * value),
+        None => String::new(),
+    }
 }
 
 /// Scale and unit in which errors of a parameter are shown.

@@ -18,7 +18,6 @@ const LATE_S: f64 = 0.12;
 /// default; systematic errors of the wheels are the known ones only.
 pub fn robot(seed: u64) -> Config {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
-    let mut within = |largest: f64| rng.random_range(-largest..largest);
     let mut config = Config::default();
     let simulator = &mut config.simulator;
     simulator.odometry_radius_error = 0.0;
@@ -27,23 +26,27 @@ pub fn robot(seed: u64) -> Config {
     simulator.camera_latency_s = 0.0;
     let truth = &mut simulator.truth;
     // Both wheels are of one make: their mean is wrong, and each differs from it a little.
-    let radius_percent = within(WHEEL_PERCENT - 1.0);
-    truth.left_wheel_percent = radius_percent + within(1.0);
-    truth.right_wheel_percent = radius_percent + within(1.0);
-    truth.track_percent = within(WHEEL_PERCENT);
-    truth.lidar_yaw_deg = within(LIDAR_DEG);
-    truth.lidar_forward_m = within(PLACE_M);
-    truth.lidar_left_m = within(PLACE_M);
-    truth.camera_roll_deg = within(CAMERA_DEG);
-    truth.camera_pitch_down_deg = within(CAMERA_DEG);
-    truth.camera_yaw_deg = within(CAMERA_DEG);
-    truth.camera_forward_m = within(PLACE_M);
-    truth.camera_left_m = within(PLACE_M);
-    truth.camera_height_m = within(PLACE_M);
-    truth.focal_percent = within(FOCAL_PERCENT);
-    truth.lidar_late_s = within(0.5 * LATE_S) + 0.5 * LATE_S;
-    truth.camera_late_s = within(0.5 * LATE_S) + 0.5 * LATE_S;
+    let radius_percent = within(WHEEL_PERCENT - 1.0, &mut rng);
+    truth.left_wheel_percent = radius_percent + within(1.0, &mut rng);
+    truth.right_wheel_percent = radius_percent + within(1.0, &mut rng);
+    truth.track_percent = within(WHEEL_PERCENT, &mut rng);
+    truth.lidar_yaw_deg = within(LIDAR_DEG, &mut rng);
+    truth.lidar_forward_m = within(PLACE_M, &mut rng);
+    truth.lidar_left_m = within(PLACE_M, &mut rng);
+    truth.camera_roll_deg = within(CAMERA_DEG, &mut rng);
+    truth.camera_pitch_down_deg = within(CAMERA_DEG, &mut rng);
+    truth.camera_yaw_deg = within(CAMERA_DEG, &mut rng);
+    truth.camera_forward_m = within(PLACE_M, &mut rng);
+    truth.camera_left_m = within(PLACE_M, &mut rng);
+    truth.camera_height_m = within(PLACE_M, &mut rng);
+    truth.focal_percent = within(FOCAL_PERCENT, &mut rng);
+    truth.lidar_late_s = within(0.5 * LATE_S, &mut rng) + 0.5 * LATE_S;
+    truth.camera_late_s = within(0.5 * LATE_S, &mut rng) + 0.5 * LATE_S;
     config
+}
+
+fn within(largest: f64, rng: &mut Pcg64Mcg) -> f64 {
+    rng.random_range(-largest..largest)
 }
 
 /// The true value of a parameter, in the unit of its findings.

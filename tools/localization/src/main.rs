@@ -157,9 +157,9 @@ fn errors(case: &Case, folder: &Path, trajectory: &Trajectory) -> Result<[String
 
 fn costs(summary: &Value) -> [String; 2] {
     let times = &summary["scan_ms"];
-    let milliseconds = |key: &str| times[key].as_f64().unwrap_or(f64::NAN);
+    let [p50, p99] = ["p50", "p99"].map(|key| times[key].as_f64().unwrap_or(f64::NAN));
     let closures = summary["closures"].to_string();
-    [closures, format!("{:.2} / {:.2}", milliseconds("p50"), milliseconds("p99"))]
+    [closures, format!("{p50:.2} / {p99:.2}")]
 }
 
 fn summary(out: &Path) -> Result<Value> {

@@ -35,13 +35,16 @@ pub fn through(plan: &FloorPlan, start: Pose2) -> Vec<Pose2> {
 }
 
 fn nodes(plan: &FloorPlan) -> BTreeSet<Node> {
-    let near = |value: f64| (value / NODE_M).round() as i32;
-    let nodes = plan.reachable().map(|[x_m, y_m]| (near(x_m), near(y_m)));
-    let is_clear = |node: &Node| {
-        let [x_m, y_m] = place(*node);
-        plan.is_reachable(x_m, y_m) && plan.clearance_m(x_m, y_m) > CLEARANCE_M
-    };
-    nodes.filter(is_clear).collect()
+    let nodes = plan.reachable().map(|place_m| {
+        let [x, y] = place_m.map(|value| (value / NODE_M).round() as i32);
+        (x, y)
+    });
+    nodes.filter(|node| is_clear(*node, plan)).collect()
+}
+
+fn is_clear(node: Node, plan: &FloorPlan) -> bool {
+    let [x_m, y_m] = place(node);
+    plan.is_reachable(x_m, y_m) && plan.clearance_m(x_m, y_m) > CLEARANCE_M
 }
 
 fn place((x, y): Node) -> [f64; 2] {
@@ -54,11 +57,12 @@ fn distance_m(a: Node, b: Node) -> f64 {
 }
 
 fn nearest(nodes: &BTreeSet<Node>, pose: &Pose2) -> Option<Node> {
-    let off_m = |node: &Node| {
-        let [x_m, y_m] = place(*node);
-        (x_m - pose.x_m).hypot(y_m - pose.y_m)
-    };
-    nodes.iter().copied().min_by(|a, b| off_m(a).total_cmp(&off_m(b)))
+    nodes.iter().copied().min_by(|a, b| off_m(*a, pose).total_cmp(&off_m(*b, pose)))
+}
+
+fn off_m(node: Node, pose: &Pose2) -> f64 {
+    let [x_m, y_m] = place(node);
+    (x_m - pose.x_m).hypot(y_m - pose.y_m)
 }
 
 /// The shortest path to the nearest open node, without its beginning.

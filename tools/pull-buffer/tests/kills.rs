@@ -14,7 +14,7 @@ use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Instant, SystemTime};
 
-use common::{Server, assert_same, robot, serving, stderr_of};
+use common::{Server, assert_same, robot, serving, stderr_of, unmark};
 use hil::kills::{self, KillSchedule};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -104,15 +104,7 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
             .success()
     );
     let mut moments = KillSchedule::new(77, began.elapsed());
-    let fresh = || {
-        fs::remove_dir_all(here.path().join("robot")).unwrap();
-        (0..SEGMENTS).for_each(|number| {
-            let _ = fs::remove_file(
-                robot.path().join(format!("run/recording_{number:04}.mcap.pulled")),
-            );
-        });
-    };
-    fresh();
+    start_again(robot.path(), here.path());
     let mut kills = 0;
     let mut rounds = 0;
     let mut before = [0; SEGMENTS as usize];
@@ -140,7 +132,7 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
             if rounds == 0 {
                 reads_nothing_again(&server, robot.path(), here.path());
             }
-            fresh();
+            start_again(robot.path(), here.path());
             rounds += 1;
             before = [0; SEGMENTS as usize];
         }
@@ -148,6 +140,11 @@ fn killed_again_and_again(mut kill: impl FnMut(&mut Child, &Path) -> bool) {
     completes(&server, robot.path(), here.path());
     reads_nothing_again(&server, robot.path(), here.path());
     println!("{kills} kills, {} pulls completed", rounds + 1);
+}
+
+fn start_again(robot: &Path, here: &Path) {
+    fs::remove_dir_all(here.join("robot")).unwrap();
+    unmark(robot, SEGMENTS);
 }
 
 #[test]

@@ -12,10 +12,10 @@ mod common;
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::Instant;
 
-use common::{assert_same, robot, stderr_of};
+use common::{assert_same, robot, stderr_of, unmark};
 use hil::kills::{self, KillSchedule};
 use segment_store::Digest;
 use tempfile::tempdir;
@@ -57,28 +57,15 @@ fn an_upload_killed_at_any_time_leaves_complete_objects_and_the_next_one_finishe
     let robot = robot(SEGMENTS, BYTES);
     let dir = tempdir().unwrap();
     let store = dir.path().join("store");
-    let fresh = || {
-        let _ = fs::remove_dir_all(&store);
-        fs::create_dir(&store).unwrap();
-        (0..SEGMENTS).for_each(|number| {
-            let _ = fs::remove_file(
-                robot.path().join(format!("run/recording_{number:04}.mcap.pulled")),
-            );
-        });
-    };
-    fresh();
-    // Slow enough that most kills happen during a transfer.
-    let slowly = || {
-        upload(robot.path(), &store).arg("--limit=10MB/s").stderr(Stdio::null()).spawn().unwrap()
-    };
+    start_again(robot.path(), &store);
     let began = Instant::now();
-    assert!(slowly().wait().unwrap().success());
+    assert!(slow_upload(robot.path(), &store).wait().unwrap().success());
     let mut moments = KillSchedule::new(78, began.elapsed());
-    fresh();
+    start_again(robot.path(), &store);
     let mut kills = 0;
     let mut rounds = 0;
     while kills < kills::kill_count() {
-        let mut child = slowly();
+        let mut child = slow_upload(robot.path(), &store);
         moments.wait(&mut child, || kills::listing(&store)).unwrap();
         kills += u64::from(child.try_wait().unwrap().is_none());
         child.kill().unwrap();
@@ -89,11 +76,22 @@ fn an_upload_killed_at_any_time_leaves_complete_objects_and_the_next_one_finishe
             let output = upload(robot.path(), &store).output().unwrap();
             assert!(output.status.success(), "{}", stderr_of(&output));
             assert_eq!(complete(robot.path(), &store), SEGMENTS);
-            fresh();
+            start_again(robot.path(), &store);
             rounds += 1;
         }
     }
     println!("{kills} kills, {rounds} uploads completed");
+}
+
+/// An upload that is slow enough that most kills happen during a transfer.
+fn slow_upload(robot: &Path, store: &Path) -> Child {
+    upload(robot, store).arg("--limit=10MB/s").stderr(Stdio::null()).spawn().unwrap()
+}
+
+fn start_again(robot: &Path, store: &Path) {
+    let _ = fs::remove_dir_all(store);
+    fs::create_dir(store).unwrap();
+    unmark(robot, SEGMENTS);
 }
 
 #[test]

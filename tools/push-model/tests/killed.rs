@@ -127,6 +127,13 @@ impl Scene {
         }
         list["state"].clone()
     }
+
+    /// Both models are on trial, so a rollback leads to no model at all.
+    fn begin_again(&self, old: &Value) {
+        self.model(&["rollback"]);
+        assert!(self.push("guess.onnx").wait().unwrap().success());
+        assert_eq!(self.settled(), *old);
+    }
 }
 
 #[test]
@@ -143,13 +150,7 @@ fn a_push_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
     let mut moments = KillSchedule::new(3, began.elapsed());
     let new = scene.settled();
     assert_ne!(old, new);
-    // Both models are on trial, so a rollback leads to no model at all.
-    let begin_again = || {
-        scene.model(&["rollback"]);
-        assert!(scene.push("guess.onnx").wait().unwrap().success());
-        assert_eq!(scene.settled(), old);
-    };
-    begin_again();
+    scene.begin_again(&old);
     let mut kills = 0;
     let mut tries = 0;
     let mut arrived = 0;
@@ -165,7 +166,7 @@ fn a_push_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
         assert!(state == old || state == new, "{state}");
         if state == new {
             arrived += 1;
-            begin_again();
+            scene.begin_again(&old);
         }
     }
     println!("{kills} kills in {tries} pushes, {arrived} models arrived nevertheless");

@@ -94,9 +94,12 @@ mod tests {
         text.lines().filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect()
     }
 
+    fn has_simulator(features: Option<&str>) -> bool {
+        crates(features).iter().any(|name| name == "simulator")
+    }
+
     #[test]
     fn the_robots_package_contains_no_simulator() {
-        let has_simulator = |features| crates(features).iter().any(|name| name == "simulator");
         assert!(has_simulator(None), "a build that has one is recognized");
         assert!(!has_simulator(Some(FEATURES)));
     }

@@ -1,6 +1,7 @@
 //! Lays out the package's files as on the robot, and packs them with `dpkg-deb`.
 
 use std::fs;
+use std::io;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -105,12 +106,16 @@ fn manual(arch: Arch, root: &Path) -> Result<()> {
 }
 
 fn copy(from: &Path, to: &Path, mode: u32) -> Result<()> {
-    let failed = || format!("copying {} to {}", from.display(), to.display());
+    copy_into_new_folder(from, to, mode)
+        .with_context(|| format!("copying {} to {}", from.display(), to.display()))
+}
+
+fn copy_into_new_folder(from: &Path, to: &Path, mode: u32) -> io::Result<()> {
     if let Some(folder) = to.parent() {
-        fs::create_dir_all(folder).with_context(failed)?;
+        fs::create_dir_all(folder)?;
     }
-    fs::copy(from, to).with_context(failed)?;
-    fs::set_permissions(to, fs::Permissions::from_mode(mode)).with_context(failed)
+    fs::copy(from, to)?;
+    fs::set_permissions(to, fs::Permissions::from_mode(mode))
 }
 
 fn strip(arch: Arch) -> String {

@@ -18,36 +18,40 @@ pub fn run(arch: Arch, package: &Path) -> Result<()> {
     let root = folder.join("root");
     std::fs::create_dir_all(&root)?;
     command::run(command::program("dpkg-deb").arg("--extract").arg(package).arg(&root))?;
-    let firmware = |arguments: &[&str]| {
-        let mut firmware = program(arch, &root.join("usr/bin/firmware-host"));
-        firmware.args(arguments).env_remove("ORT_DYLIB_PATH");
-        firmware
-    };
-    command::run(&mut firmware(&["--version"]))?;
+    command::run(&mut firmware(arch, &root, &["--version"]))?;
     live_view(arch, &root, &folder)?;
     // The endpoints of the robot's own motors are the only values that the packaged configuration lacks.
     let config = read(&root.join("etc/embodied-depth/robot.toml"))?;
     let completed = folder.join("robot.toml");
     std::fs::write(&completed, config.replace("_endpoint = 0", "_endpoint = 1"))?;
     command::run(
-        firmware(&["check", "--config"]).arg(completed).stdout(std::process::Stdio::null()),
+        firmware(arch, &root, &["check", "--config"])
+            .arg(completed)
+            .stdout(std::process::Stdio::null()),
     )?;
     // The package's program has no simulator. This computer's own build explores, and the package's program replays.
     let simulated = simulated(&folder)?;
     let recording = simulated.explore("coarse", &["--frames", "20"])?;
-    command::run(firmware(&["replay"]).arg(&recording))?;
+    command::run(firmware(arch, &root, &["replay"]).arg(&recording))?;
     refuses_lerobot(
-        firmware(&["buffer", "export", "--as", "lerobot", "--out", "/nonexistent"]).arg(&recording),
+        firmware(arch, &root, &["buffer", "export", "--as", "lerobot", "--out", "/nonexistent"])
+            .arg(&recording),
     )?;
     if arch.is_this_computers() {
         // ONNX Runtime crashes under emulation when it queries the processor's model.
         let model = root.join("usr/share/embodied-depth/default.onnx");
         let model = model.to_string_lossy();
         let recording = simulated.explore("network", &["--frames", "5", "--model", &model])?;
-        command::run(firmware(&["replay", "--model", &model]).arg(recording))?;
-        models(&root, &folder, &simulated, firmware)?;
+        command::run(firmware(arch, &root, &["replay", "--model", &model]).arg(recording))?;
+        models(arch, &root, &folder, &simulated)?;
     }
     service(&root)
+}
+
+fn firmware(arch: Arch, root: &Path, arguments: &[&str]) -> Command {
+    let mut firmware = program(arch, &root.join("usr/bin/firmware-host"));
+    firmware.args(arguments).env_remove("ORT_DYLIB_PATH");
+    firmware
 }
 
 /// The package's program is built without Parquet, and says which build exports to LeRobot.
@@ -87,12 +91,7 @@ fn read(path: &Path) -> Result<String> {
 }
 
 /// Initializes the model store of robot.toml as the service does: the package's network becomes its first model.
-fn models(
-    root: &Path,
-    folder: &Path,
-    simulated: &Simulated,
-    firmware: impl Fn(&[&str]) -> Command,
-) -> Result<()> {
+fn models(arch: Arch, root: &Path, folder: &Path, simulated: &Simulated) -> Result<()> {
     let config = read(&root.join("etc/embodied-depth/robot.toml"))?;
     let unit = read(&root.join("lib/systemd/system/embodied-depth.service"))?;
     let store = config.lines().find_map(|line| line.strip_prefix("store = \"")?.strip_suffix('"'));
@@ -115,7 +114,7 @@ fn models(
     let texts = [store.to_string_lossy(), model.to_string_lossy()];
     let arguments = ["--frames", "5", "--model-store", &texts[0], "--model", &texts[1]];
     simulated.explore("stored", &arguments)?;
-    let mut list = firmware(&["model", "list", "--json", "--store"]);
+    let mut list = firmware(arch, root, &["model", "list", "--json", "--store"]);
     list.arg(&store).arg("--config").arg(root.join("etc/embodied-depth/robot.toml"));
     let said = String::from_utf8_lossy(&list.output()?.stdout).into_owned();
     ensure!(

@@ -372,11 +372,14 @@ mod tests {
     #[test]
     fn a_process_is_asked_how_long_it_has_worked() {
         let start = Instant::now();
-        let worked = || processor_time(std::process::id()).unwrap();
         let before = worked();
         while worked() < before + Duration::from_millis(20) {
             assert!(start.elapsed() < Duration::from_secs(60), "{:?}", worked());
         }
         assert_eq!(processor_time(u32::MAX), None);
+    }
+
+    fn worked() -> Duration {
+        processor_time(std::process::id()).unwrap()
     }
 }

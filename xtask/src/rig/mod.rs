@@ -58,9 +58,9 @@ pub fn run(all: bool, filter: Option<&str>) -> Result<()> {
 
 /// Builds the programs that the scenarios run. Returns their names and paths in the guest.
 fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
-    let uses = |variable| scenarios.iter().any(|scenario| scenario.body.contains(variable));
+    let uses_package = uses("$PACKAGE", scenarios);
     let mut programs = vec![("HIL", "hil")];
-    if uses("$FIRMWARE") || uses("$PACKAGE") {
+    if uses_package || uses("$FIRMWARE", scenarios) {
         programs.push(("FIRMWARE", "firmware-host"));
     }
     let mut cargo = test::cargo_build()?;
@@ -68,14 +68,14 @@ fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
     for (_, program) in &programs {
         cargo.args(["--bin", program]);
     }
-    if uses("$PACKAGE") {
+    if uses_package {
         cargo.args(package::PROGRAMS.iter().flat_map(|program| ["--bin", program]));
     }
     command::run(&mut cargo)?;
     let folder = paths::target().join("debug");
     let mut found: Vec<_> =
         programs.into_iter().map(|(variable, name)| (variable, folder.join(name))).collect();
-    if uses("$PACKAGE") {
+    if uses_package {
         let packages = paths::target().join("rig/package");
         found.push(("PACKAGE", package::make(Arch::of_this_computer(), &folder, &packages)?));
     }
@@ -85,6 +85,10 @@ fn build(scenarios: &[Scenario]) -> Result<Vec<(&'static str, String)>> {
         texts.push((variable, text.to_owned()));
     }
     Ok(texts)
+}
+
+fn uses(variable: &str, scenarios: &[Scenario]) -> bool {
+    scenarios.iter().any(|scenario| scenario.body.contains(variable))
 }
 
 #[cfg(test)]

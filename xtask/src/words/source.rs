@@ -22,10 +22,9 @@ struct Piece<'a> {
 pub(super) fn texts(source: &str, with_help: bool) -> Vec<(usize, String)> {
     let pieces = pieces(source);
     let tests = test_items(&code_only(&pieces));
-    let is_tested = |piece: &Piece<'_>| tests.iter().any(|item| item.contains(&piece.start));
     pieces
         .iter()
-        .filter(|piece| !is_tested(piece))
+        .filter(|piece| !tests.iter().any(|item| item.contains(&piece.start)))
         .filter_map(|piece| {
             let text = match piece.kind {
                 Kind::Literal => without_formats(piece.text),
@@ -80,13 +79,12 @@ fn raw_string(source: &str) -> Option<usize> {
 /// The length of the text in quotes with which `source` begins.
 fn quoted(source: &str, quote: char) -> Option<usize> {
     let mut is_escaped = false;
-    let mut ends = |c| {
+    let length = source.strip_prefix(quote)?.find(|c: char| {
         let ends = c == quote && !is_escaped;
         is_escaped = c == '\\' && !is_escaped;
         ends
-    };
-    let body = source.strip_prefix(quote)?;
-    Some(body.find(&mut ends)? + 2)
+    })?;
+    Some(length + 2)
 }
 
 /// The length of the character with which `source` begins. A lifetime is none.

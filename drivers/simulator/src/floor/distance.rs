@@ -76,12 +76,14 @@ mod tests {
         #[test]
         fn equals_the_search_over_all_cells(sources in prop::collection::vec(any::<bool>(), 63), sparse in any::<bool>()) {
             let grid = Grid::covering([0.0; 2], [0.9, 0.7], 0.1);
-            let is_source = |i: usize| sources[i] && (!sparse || i % 9 == 4);
-            let distances = distance_to(&grid, is_source);
+            let is_source: Vec<bool> = sources.iter().enumerate().map(|(i, source)| *source && (!sparse || i % 9 == 4)).collect();
+            let distances = distance_to(&grid, |i| is_source[i]);
             for (cell, distance) in distances.into_iter().enumerate() {
                 let [x, y] = grid.center(cell);
-                let to = |other: usize| (grid.center(other)[0] - x).hypot(grid.center(other)[1] - y);
-                let expected = (0..63).filter(|&i| is_source(i)).map(to).fold(f64::INFINITY, f64::min);
+                let expected = (0..63)
+                    .filter(|&i| is_source[i])
+                    .map(|other| (grid.center(other)[0] - x).hypot(grid.center(other)[1] - y))
+                    .fold(f64::INFINITY, f64::min);
                 prop_assert!(f64::from(distance) == expected || (f64::from(distance) - expected).abs() < 1e-6);
             }
         }

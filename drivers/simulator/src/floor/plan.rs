@@ -221,8 +221,8 @@ impl FloorPlan {
     pub fn start_pose(&self, seed: u64) -> Pose2 {
         let mut cells = self.home_cells().to_vec();
         cells.sort_by(|a, b| {
-            let clearance = |cell: &u32| self.clearance_m[*cell as usize];
-            clearance(b).total_cmp(&clearance(a)).then(a.cmp(b))
+            let [clearance_a, clearance_b] = [a, b].map(|cell| self.clearance_m[*cell as usize]);
+            clearance_b.total_cmp(&clearance_a).then(a.cmp(b))
         });
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let cell = cells[rng.random_range(0..cells.len().div_ceil(10))] as usize;
@@ -287,8 +287,8 @@ fn edges(raster: &Raster, counts: impl Fn(usize) -> bool) -> Obstacles {
 /// The edges beside floor that no wall touches.
 fn edges_without_wall(raster: &Raster) -> Obstacles {
     edges(raster, |cell| {
-        let open = |next: usize| raster.supported[next] && !raster.blocked[next];
-        !raster.blocked[cell] && raster.grid.sides(cell).any(open)
+        !raster.blocked[cell]
+            && raster.grid.sides(cell).any(|next| raster.supported[next] && !raster.blocked[next])
     })
 }
 

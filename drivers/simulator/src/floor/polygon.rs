@@ -64,21 +64,24 @@ impl Polygon {
 
     /// Least and greatest x of the part with `low <= y <= high`.
     fn span_in_band(&self, low: f64, high: f64) -> Option<(f64, f64)> {
-        let mut left = f64::INFINITY;
-        let mut right = f64::NEG_INFINITY;
-        let mut meet = |x: f64| (left, right) = (left.min(x), right.max(x));
+        let mut span = (f64::INFINITY, f64::NEG_INFINITY);
         for (a, b) in edges(self.corners()) {
             if (low..=high).contains(&a[1]) {
-                meet(a[0]);
+                span = widened(span, a[0]);
             }
             for y in [low, high] {
                 if (a[1] - y) * (b[1] - y) < 0.0 {
-                    meet(a[0] + (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]));
+                    let x = a[0] + (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]);
+                    span = widened(span, x);
                 }
             }
         }
-        (left <= right).then_some((left, right))
+        (span.0 <= span.1).then_some(span)
     }
+}
+
+fn widened((left, right): (f64, f64), x: f64) -> (f64, f64) {
+    (left.min(x), right.max(x))
 }
 
 fn fold_corners(start: f64, pick: fn(f64, f64) -> f64, corners: &[[f64; 2]]) -> [f64; 2] {

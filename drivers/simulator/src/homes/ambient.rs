@@ -101,21 +101,24 @@ fn light(
     let near: Vec<&Solid> = solids.iter().filter(|s| reachable(s, quad)).collect();
     let inverse = directions
         .map(|r| std::array::from_fn(|i| 1.0 / (r[0] * t[i] + r[1] * b[i] + r[2] * n[i])));
-    let lifted = |p: [f32; 3]| std::array::from_fn(|i| p[i] + 0.004 * n[i]);
     if quad.corners.iter().all(|c| norm(sub(*c, center)) < SMALL_M) {
-        return [open_share(lifted(center), &inverse, &near, room, height); 4];
+        return [open_share(lifted(center, n), &inverse, &near, room, height); 4];
     }
     // Slightly towards the centre and off the surface, so that a ray from a corner does not start
     // inside a neighbouring solid.
     quad.corners.map(|c| {
         open_share(
-            lifted(std::array::from_fn(|i| c[i] + 0.04 * (center[i] - c[i]))),
+            lifted(std::array::from_fn(|i| c[i] + 0.04 * (center[i] - c[i])), n),
             &inverse,
             &near,
             room,
             height,
         )
     })
+}
+
+fn lifted(p: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|i| p[i] + 0.004 * normal[i])
 }
 
 /// Light at a point of a face: less where rays hit the room's solids within reach.

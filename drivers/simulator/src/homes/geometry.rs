@@ -54,8 +54,8 @@ impl Rect {
 
     /// Distance of a point to the rectangle, 0 inside.
     pub fn distance_m(&self, p: [f32; 2]) -> f32 {
-        let d = |i: usize| (self.min[i] - p[i]).max(p[i] - self.max[i]).max(0.0);
-        d(0).hypot(d(1))
+        let [x, y] = [0, 1].map(|i| (self.min[i] - p[i]).max(p[i] - self.max[i]).max(0.0));
+        x.hypot(y)
     }
 
     /// The frame of one wall.

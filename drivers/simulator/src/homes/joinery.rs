@@ -72,11 +72,10 @@ fn frame(door: &Door, style: &HomeStyle, mesh: &mut Mesh) {
     let tile = style.threshold.tile_m;
     part.quad(floor, floor.map(|c| [c[0] / tile, c[1] / tile]), style.threshold);
     for sign in [-1.0, 1.0_f32] {
-        let between = |a: f32, b: f32| [(sign * a).min(sign * b), (sign * a).max(sign * b)];
-        let x = between(half, outer);
+        let x = on_side(sign, half, outer);
         part.trim([x[0], -t, 0.0], [x[1], t, top], style.joinery);
         for face in [-1.0, 1.0_f32] {
-            let x = between(half, cased);
+            let x = on_side(sign, half, cased);
             let y0 = face * t;
             let y1 = face * (t + CASING_DEPTH_M);
             part.trim([x[0], y0.min(y1), 0.0], [x[1], y0.max(y1), top], style.joinery);
@@ -94,6 +93,10 @@ fn frame(door: &Door, style: &HomeStyle, mesh: &mut Mesh) {
     }
     let [x, y] = door.rect.center();
     mesh.append_at_wall(&part, [x, y, 0.0], if door.along_x { Side::South } else { Side::East });
+}
+
+fn on_side(sign: f32, a: f32, b: f32) -> [f32; 2] {
+    [(sign * a).min(sign * b), (sign * a).max(sign * b)]
 }
 
 fn open_leaf(leaf: &Leaf, layout: &Layout, style: &HomeStyle, mesh: &mut Mesh) {
@@ -132,12 +135,19 @@ fn window(
     );
     // The reveal is a box seen from inside.
     let appearance = style.joinery;
-    let flat = |c: [f32; 3]| [(c[0] + c[1]) / appearance.tile_m, (c[2] + c[1]) / appearance.tile_m];
-    let mut face = |corners: [[f32; 3]; 4]| part.quad(corners, corners.map(flat), appearance);
-    face([[0.0, -depth, z0], [w, -depth, z0], [w, 0.0, z0], [0.0, 0.0, z0]]);
-    face([[0.0, 0.0, z1], [w, 0.0, z1], [w, -depth, z1], [0.0, -depth, z1]]);
-    face([[0.0, 0.0, z0], [0.0, 0.0, z1], [0.0, -depth, z1], [0.0, -depth, z0]]);
-    face([[w, -depth, z0], [w, -depth, z1], [w, 0.0, z1], [w, 0.0, z0]]);
+    for corners in [
+        [[0.0, -depth, z0], [w, -depth, z0], [w, 0.0, z0], [0.0, 0.0, z0]],
+        [[0.0, 0.0, z1], [w, 0.0, z1], [w, -depth, z1], [0.0, -depth, z1]],
+        [[0.0, 0.0, z0], [0.0, 0.0, z1], [0.0, -depth, z1], [0.0, -depth, z0]],
+        [[w, -depth, z0], [w, -depth, z1], [w, 0.0, z1], [w, 0.0, z0]],
+    ] {
+        let tile = appearance.tile_m;
+        part.quad(
+            corners,
+            corners.map(|c| [(c[0] + c[1]) / tile, (c[2] + c[1]) / tile]),
+            appearance,
+        );
+    }
     let back = -depth + 0.005;
     let front = -depth + 0.045;
     for x in [0.002, w - 0.052] {
@@ -176,13 +186,9 @@ fn folds(start: f32, width: f32, z: [f32; 2], appearance: Appearance, part: &mut
         let (x0, y0) = fold_edge(i, start, width);
         let (x1, y1) = fold_edge(i + 1, start, width);
         let corners = [[x1, y1, z[0]], [x0, y0, z[0]], [x0, y0, z[1]], [x1, y1, z[1]]];
-        let u = |i: usize| 0.045 * i as f32 / appearance.tile_m;
+        let u = [i, i + 1].map(|i| 0.045 * i as f32 / appearance.tile_m);
         let v = z.map(|z| -z / appearance.tile_m);
-        part.quad(
-            corners,
-            [[u(i + 1), v[0]], [u(i), v[0]], [u(i), v[1]], [u(i + 1), v[1]]],
-            appearance,
-        );
+        part.quad(corners, [[u[1], v[0]], [u[0], v[0]], [u[0], v[1]], [u[1], v[1]]], appearance);
     }
 }
 

@@ -68,12 +68,11 @@ impl Mesh {
     /// Textures run along the longer edge of a face, as wood is sawn. Their origin depends on the
     /// position, so that equal boxes look different.
     pub fn trim(&mut self, min: [f32; 3], max: [f32; 3], appearance: Appearance) {
-        let corner =
-            |i: usize| std::array::from_fn(|a| if i >> a & 1 == 0 { min[a] } else { max[a] });
         let shift = (min[0] * 7.31 + min[1] * 3.77 + min[2] * 5.13 + max[0] * 1.7).fract();
         let first = usize::from(min[2] < 1e-3);
         for (indices, axes) in &FACES[first..] {
-            let corners: [[f32; 3]; 4] = indices.map(corner);
+            let corners: [[f32; 3]; 4] = indices
+                .map(|i| std::array::from_fn(|a| if i >> a & 1 == 0 { min[a] } else { max[a] }));
             let size = axes.map(|a| max[a] - min[a]);
             let axes = if size[1] > size[0] { [axes[1], axes[0]] } else { *axes };
             self.quad(
@@ -90,12 +89,11 @@ impl Mesh {
         let bevel = (y[1] - y[0]).min((z[1] - z[0]) / 3.0);
         let back = plate_ring(0.0, y[0], x, z);
         let front = plate_ring(bevel, y[1], x, z);
-        let flat = |c: [f32; 3]| [c[0] / appearance.tile_m, -c[2] / appearance.tile_m];
-        self.quad(front, front.map(flat), appearance);
+        self.quad(front, upright(front, appearance), appearance);
         for i in 0..4 {
             let j = (i + 1) % 4;
             let corners = [back[i], back[j], front[j], front[i]];
-            self.quad(corners, corners.map(flat), appearance);
+            self.quad(corners, upright(corners, appearance), appearance);
         }
     }
 
@@ -109,7 +107,6 @@ impl Mesh {
             cushion_ring(0.0, max[2] - c, min, max),
             cushion_ring(c, max[2], min, max),
         ];
-        let flat = |p: [f32; 3]| [p[0] / appearance.tile_m, p[1] / appearance.tile_m];
         let mut around = [0.0; 5];
         for i in 0..4 {
             around[i + 1] = around[i] + if i % 2 == 0 { extent[0] } else { extent[1] };
@@ -125,9 +122,9 @@ impl Mesh {
                 self.quad(corners, uv, appearance);
             }
         }
-        self.quad(rings[3], rings[3].map(flat), appearance);
+        self.quad(rings[3], flat(rings[3], appearance), appearance);
         let bottom = [rings[0][3], rings[0][2], rings[0][1], rings[0][0]];
-        self.quad(bottom, bottom.map(flat), appearance);
+        self.quad(bottom, flat(bottom, appearance), appearance);
         self.solids.push(Solid { min, max, room: 0 });
     }
 
@@ -148,11 +145,11 @@ impl Mesh {
                 rim_point(k + 1, 1, at, z, radius, sides),
                 rim_point(k, 1, at, z, radius, sides),
             ];
-            let u = |k: usize| girth * k as f32 / sides as f32 / appearance.tile_m;
+            let u = [k, k + 1].map(|k| girth * k as f32 / sides as f32 / appearance.tile_m);
             let v = z.map(|z| z / appearance.tile_m);
             self.quad(
                 corners,
-                [[u(k), v[0]], [u(k + 1), v[0]], [u(k + 1), v[1]], [u(k), v[1]]],
+                [[u[0], v[0]], [u[1], v[0]], [u[1], v[1]], [u[0], v[1]]],
                 appearance,
             );
         }
@@ -205,16 +202,16 @@ impl Mesh {
         self.append_rotated(other, at, rotate);
     }
 
-    fn append_rotated(&mut self, other: &Self, at: [f32; 3], [c, s]: [f32; 2]) {
-        let rotate =
-            |p: [f32; 3]| [at[0] + c * p[0] - s * p[1], at[1] + s * p[0] + c * p[1], at[2] + p[2]];
-        self.quads
-            .extend(other.quads.iter().map(|q| Quad { corners: q.corners.map(rotate), ..*q }));
+    fn append_rotated(&mut self, other: &Self, at: [f32; 3], rotation: [f32; 2]) {
+        self.quads.extend(other.quads.iter().map(|q| {
+            let corners = q.corners.map(|p| rotated(p, at, rotation));
+            Quad { corners, ..*q }
+        }));
         self.solids.extend(other.solids.iter().map(|solid| {
             let a = solid.min;
             let b = solid.max;
             let base = [[a[0], a[1]], [b[0], a[1]], [b[0], b[1]], [a[0], b[1]]]
-                .map(|p| rotate([p[0], p[1], a[2]]));
+                .map(|p| rotated([p[0], p[1], a[2]], at, rotation));
             Solid {
                 min: [fold_axis(f32::min, 0, &base), fold_axis(f32::min, 1, &base), at[2] + a[2]],
                 max: [fold_axis(f32::max, 0, &base), fold_axis(f32::max, 1, &base), at[2] + b[2]],
@@ -237,6 +234,20 @@ impl Mesh {
     pub fn mark(&self) -> (usize, usize) {
         (self.quads.len(), self.solids.len())
     }
+}
+
+fn rotated(p: [f32; 3], at: [f32; 3], [c, s]: [f32; 2]) -> [f32; 3] {
+    [at[0] + c * p[0] - s * p[1], at[1] + s * p[0] + c * p[1], at[2] + p[2]]
+}
+
+/// Texture coordinates of a face that lies flat.
+pub fn flat(corners: [[f32; 3]; 4], appearance: Appearance) -> [[f32; 2]; 4] {
+    corners.map(|c| [c[0] / appearance.tile_m, c[1] / appearance.tile_m])
+}
+
+/// Texture coordinates of a face that stands upright along x.
+fn upright(corners: [[f32; 3]; 4], appearance: Appearance) -> [[f32; 2]; 4] {
+    corners.map(|c| [c[0] / appearance.tile_m, -c[2] / appearance.tile_m])
 }
 
 fn rim_point(

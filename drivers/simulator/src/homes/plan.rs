@@ -245,8 +245,14 @@ fn recursive(rng: &mut Pcg64Mcg) -> Vec<Cell> {
     rects.sort_by(|a, b| b.area_m2().total_cmp(&a.area_m2()));
     let kinds = [RoomKind::Living, RoomKind::Bedroom, RoomKind::Kitchen, RoomKind::Study];
     let last = rects.len() - 1;
-    let kind_of = |i: usize| if i == last { RoomKind::Bath } else { kinds[i] };
-    rects.iter().enumerate().map(|(i, rect)| Cell { rect: *rect, kind: kind_of(i) }).collect()
+    rects
+        .iter()
+        .enumerate()
+        .map(|(i, rect)| {
+            let kind = if i == last { RoomKind::Bath } else { kinds[i] };
+            Cell { rect: *rect, kind }
+        })
+        .collect()
 }
 
 fn by_area(a: &&Rect, b: &&Rect) -> std::cmp::Ordering {

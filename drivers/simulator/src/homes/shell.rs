@@ -5,7 +5,7 @@ use super::Surface;
 use super::geometry::{Rect, Side, WallFrame};
 use super::layout::Layout;
 use super::material_set::Appearance;
-use super::mesh::Mesh;
+use super::mesh::{Mesh, flat};
 use super::openings::{
     CASING_M, DOOR_HEIGHT_M, Hole, LINING_M, WALL_M, outer_spans, side_of, span_of,
 };
@@ -100,15 +100,12 @@ fn ceiling(rect: Rect, z: f32, appearance: Appearance, mesh: &mut Mesh) {
     }
 }
 
-fn flat(corners: [[f32; 3]; 4], appearance: Appearance) -> [[f32; 2]; 4] {
-    corners.map(|c| [c[0] / appearance.tile_m, c[1] / appearance.tile_m])
-}
-
 /// The quads of a horizontal face whose normal points up.
 fn horizontal(rect: Rect, z: f32, opening: Option<Rect>) -> Vec<[[f32; 3]; 4]> {
-    let edges = |axis: usize| opening.into_iter().flat_map(move |o| [o.min[axis], o.max[axis]]);
-    let xs = cuts(rect.min[0], rect.max[0], edges(0));
-    let ys = cuts(rect.min[1], rect.max[1], edges(1));
+    let [xs, ys] = [0, 1].map(|axis| {
+        let edges = opening.into_iter().flat_map(|o| [o.min[axis], o.max[axis]]);
+        cuts(rect.min[axis], rect.max[axis], edges)
+    });
     let mut quads = Vec::new();
     for x in xs.windows(2) {
         for y in ys.windows(2) {
@@ -186,14 +183,9 @@ fn skirting(wall: &WallFrame, holes: &[Hole], appearance: Appearance, mesh: &mut
 fn facade(layout: &Layout, index: usize, side: Side, appearance: Appearance, mesh: &mut Mesh) {
     let wall = layout.rooms[index].rect.wall(side);
     for [mut from, mut to] in outer_spans(&layout.cells, index, side, &wall) {
-        let built = |p: [f32; 2]| layout.cells.iter().any(|c| c.rect.contains(p));
-        let reach = |corner: bool, beyond: f32| match (corner, built(wall.at(beyond, 0.3))) {
-            (true, false) => WALL_M,
-            (true, true) => WALL_M / 2.0,
-            _ => 0.0,
-        };
-        from -= reach(from < 0.01, -0.5);
-        to += reach(to > wall.length_m - 0.01, wall.length_m + 0.5);
+        from -= overhang(from < 0.01, wall.at(-0.5, 0.3), layout);
+        let beyond = wall.at(wall.length_m + 0.5, 0.3);
+        to += overhang(to > wall.length_m - 0.01, beyond, layout);
         let stations = [
             (from, 0.0),
             (to, 0.0),
@@ -206,5 +198,15 @@ fn facade(layout: &Layout, index: usize, side: Side, appearance: Appearance, mes
             stations.map(|(s, z)| [s / appearance.tile_m, -z / appearance.tile_m]),
             appearance,
         );
+    }
+}
+
+/// The length of a facade beyond its wall's end. `beyond` is a point there, inside at a concave
+/// corner.
+fn overhang(is_corner: bool, beyond: [f32; 2], layout: &Layout) -> f32 {
+    match (is_corner, layout.cells.iter().any(|c| c.rect.contains(beyond))) {
+        (true, false) => WALL_M,
+        (true, true) => WALL_M / 2.0,
+        _ => 0.0,
     }
 }

@@ -140,17 +140,19 @@ impl Drivable {
             return;
         }
         // Points on the triangle, at most half a cell apart.
-        let edge = |a: usize, b: usize| (p[a][0] - p[b][0]).hypot(p[a][1] - p[b][1]);
-        let steps = (edge(0, 1).max(edge(1, 2)).max(edge(2, 0)) / (Self::CELL_M / 2.0))
-            .ceil()
-            .max(1.0) as usize;
+        let edges = [(0, 1), (1, 2), (2, 0)];
+        let edges = edges.map(|(a, b)| (p[a][0] - p[b][0]).hypot(p[a][1] - p[b][1]));
+        let longest = edges[0].max(edges[1]).max(edges[2]);
+        let steps = (longest / (Self::CELL_M / 2.0)).ceil().max(1.0) as usize;
         for i in 0..=steps {
             for j in 0..=steps - i {
                 let u = i as f32 / steps as f32;
                 let v = j as f32 / steps as f32;
-                let at = |k: usize| p[0][k] + u * (p[1][k] - p[0][k]) + v * (p[2][k] - p[0][k]);
-                if (0.02..=1.2).contains(&at(2)) {
-                    let cell = [0, 1].map(|k| ((at(k) - origin[k]) / Self::CELL_M) as usize);
+                let at: [f32; 3] = std::array::from_fn(|k| {
+                    p[0][k] + u * (p[1][k] - p[0][k]) + v * (p[2][k] - p[0][k])
+                });
+                if (0.02..=1.2).contains(&at[2]) {
+                    let cell = [0, 1].map(|k| ((at[k] - origin[k]) / Self::CELL_M) as usize);
                     hit[cell[1] * columns + cell[0]] = true;
                 }
             }
@@ -188,11 +190,10 @@ impl Drivable {
     /// The largest connected free part of a rectangle.
     fn largest_part(&self, rect: &Rect) -> Vec<usize> {
         let mut seen = vec![false; self.free.len()];
-        let within = |c: usize| rect.contains(self.middle(c));
         let mut largest = Vec::new();
         for start in 0..self.free.len() {
-            if self.free[start] && !seen[start] && within(start) {
-                let part = self.flood(start, &mut seen, within);
+            if self.free[start] && !seen[start] && rect.contains(self.middle(start)) {
+                let part = self.flood(start, &mut seen, |c| rect.contains(self.middle(c)));
                 if part.len() > largest.len() {
                     largest = part;
                 }
@@ -366,8 +367,8 @@ fn floors_cover_every_room_and_doorway_without_holes() {
             for rect in home.rooms.iter().map(|r| r.rect).chain(home.doors.iter().map(|d| d.rect)) {
                 let [w, d] = rect.size();
                 for i in 0..60 {
-                    let share = |k: f32| (0.5 + k * i as f32).fract();
-                    let at = [rect.min[0] + w * share(0.618), rect.min[1] + d * share(0.755)];
+                    let [x, y] = [0.618, 0.755].map(|step| (0.5 + step * i as f32).fract());
+                    let at = [rect.min[0] + w * x, rect.min[1] + d * y];
                     assert!(is_covered(at, &floor), "{kind} {seed}: no floor at {at:?}");
                 }
             }

@@ -66,19 +66,18 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Loaded, SceneError> {
         return Err(SceneError::NotFound { path: path.into() });
     }
     let mut scene = read(path)?;
-    let name = || path.display().to_string();
     let triangles = scene.triangles.len();
     if triangles == 0 {
-        return Err(SceneError::Empty { scene: name() });
+        return Err(SceneError::Empty { scene: path.display().to_string() });
     }
     scene.triangles.retain(is_finite);
     if scene.triangles.is_empty() {
-        return Err(SceneError::NotFinite { scene: name(), triangles });
+        return Err(SceneError::NotFinite { scene: path.display().to_string(), triangles });
     }
     let dropped_triangles = triangles - scene.triangles.len();
     if dropped_triangles > 0 {
         tracing::warn!(
-            scene = name(),
+            scene = path.display().to_string(),
             dropped_triangles,
             "dropped triangles with NaN or infinite corners"
         );

@@ -133,8 +133,10 @@ fn base64(bytes: &[u8]) -> String {
     let mut text = String::new();
     for chunk in bytes.chunks(3) {
         let word = chunk.iter().fold(0, |w, &b| w << 8 | u32::from(b)) << (8 * (3 - chunk.len()));
-        let digit = |i: usize| char::from(ALPHABET[(word >> (18 - 6 * i)) as usize & 63]);
-        text.extend((0..4).map(|i| if i <= chunk.len() { digit(i) } else { '=' }));
+        text.extend((0..4).map(|i| {
+            let digit = (word >> (18 - 6 * i)) as usize & 63;
+            if i <= chunk.len() { char::from(ALPHABET[digit]) } else { '=' }
+        }));
     }
     text
 }
@@ -286,8 +288,9 @@ fn a_hand_made_home_loads_alike_from_glb_and_obj() {
 /// `cargo xtask test` runs them where the scenes are.
 pub(crate) fn shared_scenes() -> PathBuf {
     let configured = std::env::var_os("EMBODIED_DEPTH_DATA").map(PathBuf::from);
-    let default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let scenes = configured.unwrap_or_else(default).join("scenes");
+    let scenes = configured
+        .unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"))
+        .join("scenes");
     assert!(scenes.is_dir(), "there is no folder {}; set EMBODIED_DEPTH_DATA", scenes.display());
     scenes
 }

@@ -138,11 +138,10 @@ impl Place {
             return 1.0;
         }
         let front = self.open_share(self.normal, bvh, directions, options.reach_m);
-        let back = || self.open_share(-self.normal, bvh, directions, options.reach_m);
         let open = if front < BURIED {
-            front.max(back())
+            front.max(self.open_share(-self.normal, bvh, directions, options.reach_m))
         } else if front > VOID && self.open_share(self.normal, bvh, directions, 50.0) > VOID {
-            back()
+            self.open_share(-self.normal, bvh, directions, options.reach_m)
         } else {
             front
         };
@@ -256,9 +255,15 @@ mod tests {
     }
 
     fn ambient_near(scene: &Scene, point: [f32; 3]) -> f32 {
-        let distance = |v: &Vertex| (V3::from(v.position_m) - V3::from(point)).norm();
         let vertices = scene.triangles.iter().flat_map(|t| &t.vertices);
-        vertices.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap().ambient
+        vertices
+            .min_by(|a, b| distance_m(a, point).total_cmp(&distance_m(b, point)))
+            .unwrap()
+            .ambient
+    }
+
+    fn distance_m(vertex: &Vertex, point: [f32; 3]) -> f32 {
+        (V3::from(vertex.position_m) - V3::from(point)).norm()
     }
 
     #[test]

@@ -57,11 +57,10 @@ impl Renderer {
     /// does not match their size.
     #[must_use]
     pub fn new(scene: &Scene) -> Self {
-        let seen = |t: &&crate::scene::Triangle| (t.material as usize) < scene.materials.len();
         let visible: Vec<_> = scene
             .triangles
             .iter()
-            .filter(seen)
+            .filter(|t| (t.material as usize) < scene.materials.len())
             .filter_map(|t| Some((t, Surface::new(t)?)))
             .collect();
         let corners: Vec<_> = visible
@@ -157,8 +156,14 @@ impl Renderer {
         let linear: Vec<f32> = (0..=255).map(light::srgb_to_linear).collect();
         for sample in 0..samples {
             let passed = (sample as f64 + 0.5) / samples as f64;
-            let pose = |above| t_world_camera(passed, above);
-            self.render_rows(camera, pose, people, light, rgb, depth);
+            self.render_rows(
+                camera,
+                |above| t_world_camera(passed, above),
+                people,
+                light,
+                rgb,
+                depth,
+            );
             for (sum, byte) in sum.iter_mut().zip(rgb.iter()) {
                 *sum += linear[*byte as usize];
             }
@@ -327,10 +332,9 @@ impl Renderer {
             let normal = if facing > 0.0 { -surface.normal } else { surface.normal };
             sun.at(&(surface.origin + offset), &normal) * light.exposure
         });
-        let leaves = |c: usize| {
+        [0, 1, 2].map(|c| {
             albedo[c] * (on_surface[c] * ambient + sun) + material.emissive[c] * light.exposure
-        };
-        [leaves(0), leaves(1), leaves(2)]
+        })
     }
 
     fn draw_people(

@@ -30,16 +30,14 @@ fn quad_vertex(u: f32, v: f32, corner: [f32; 3], a: [f32; 3], b: [f32; 3]) -> Ve
 /// The inside of a box with one corner in the origin.
 pub(crate) fn room(size: [f32; 3], material: u32) -> Vec<Triangle> {
     let [x, y, z] = size;
-    let along_x = [x, 0.0, 0.0];
-    let along_y = [0.0, y, 0.0];
-    let along_z = [0.0, 0.0, z];
     let mut triangles = Vec::new();
     for far in [[0.0; 3], size] {
         let sign = if far[0] > 0.0 { -1.0_f32 } else { 1.0 };
-        let mirrored = |v: [f32; 3]| v.map(|c| c * sign);
-        triangles.extend(quad(far, mirrored(along_x), mirrored(along_y), material));
-        triangles.extend(quad(far, mirrored(along_y), mirrored(along_z), material));
-        triangles.extend(quad(far, mirrored(along_z), mirrored(along_x), material));
+        let edges = [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]];
+        let [along_x, along_y, along_z] = edges.map(|edge| edge.map(|c| c * sign));
+        triangles.extend(quad(far, along_x, along_y, material));
+        triangles.extend(quad(far, along_y, along_z, material));
+        triangles.extend(quad(far, along_z, along_x, material));
     }
     triangles
 }
@@ -332,17 +330,19 @@ fn random_triangles(seed: u64, count: usize) -> Vec<Triangle> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     (0..count)
         .map(|_| {
-            let mut around =
-                |size: f32, centre: [f32; 3]| centre.map(|c| c + rng.random_range(-size..size));
-            let centre = around(5.0, [0.0; 3]);
+            let centre = around(5.0, [0.0; 3], &mut rng);
             let vertices = [(); 3].map(|()| Vertex {
-                position_m: around(1.0, centre),
+                position_m: around(1.0, centre, &mut rng),
                 uv: [centre[0], centre[1]],
                 ambient: 1.0,
             });
             Triangle { vertices, material: 0 }
         })
         .collect()
+}
+
+fn around(size: f32, centre: [f32; 3], rng: &mut Pcg64Mcg) -> [f32; 3] {
+    centre.map(|c| c + rng.random_range(-size..size))
 }
 
 /// Möller and Trumbore (1997) in f64 over all triangles.
@@ -466,18 +466,21 @@ fn a_camera_that_rotates_while_it_reads_its_rows_shows_each_row_from_its_own_pos
         textures: vec![],
     });
     let camera = wide();
-    let pose = |above: f64| standing(3.0, 2.0, 0.3 * above, 0.0);
     let mut rolled = DepthMap::none(0, 0);
     let mut still = DepthMap::none(0, 0);
     let mut rgb = Vec::new();
-    renderer.render_rows(&camera, pose, &[], &Lighting::flat(), &mut rgb, &mut rolled);
+    renderer.render_rows(&camera, turned, &[], &Lighting::flat(), &mut rgb, &mut rolled);
     // The middles of the bands of eight rows.
     for (row, above) in [(3, 4.0 / 48.0), (27, 28.0 / 48.0), (47, 44.0 / 48.0)] {
-        renderer.render(&camera, &pose(above), &[], &Lighting::flat(), &mut rgb, &mut still);
+        renderer.render(&camera, &turned(above), &[], &Lighting::flat(), &mut rgb, &mut still);
         for column in [0, 70, 159] {
             assert_eq!(rolled.get(column, row), still.get(column, row), "row {row}");
         }
     }
+}
+
+fn turned(above: f64) -> Pose3 {
+    standing(3.0, 2.0, 0.3 * above, 0.0)
 }
 
 fn red_in_middle_row(rgb: &[u8], column: usize) -> u8 {

@@ -169,13 +169,17 @@ impl Mix {
     #[inline(always)]
     fn linear(&self, weight: u64) -> Rgba {
         let scale = 1.0 / (255 * (weight << (2 * Self::PLACE_BITS))) as f32;
-        let channel = |lane: u64| lane as i32 as f32 * scale;
-        let r = channel(self.red_blue);
-        let g = channel(self.green_alpha);
-        let b = channel(self.red_blue >> 32);
-        let a = channel(self.green_alpha >> 32);
+        let r = channel(self.red_blue, scale);
+        let g = channel(self.green_alpha, scale);
+        let b = channel(self.red_blue >> 32, scale);
+        let a = channel(self.green_alpha >> 32, scale);
         [r * r, g * g, b * b, a]
     }
+}
+
+#[inline(always)]
+fn channel(lane: u64, scale: f32) -> f32 {
+    lane as i32 as f32 * scale
 }
 
 /// One mip level, stored in tiles of 4 x 4 texels. A tile is one cache line, so neighbours in any
@@ -340,11 +344,14 @@ mod tests {
         assert!(MipChain::new(&Texture { width: 0, height: 2, rgba: vec![] }).is_none());
     }
 
+    fn byte(code: u32) -> u8 {
+        super::super::light::linear_to_srgb((code as f32 / 255.0).powi(2))
+    }
+
     proptest! {
         #[test]
         fn any_coordinate_is_between_the_texels_beside_it(u in -3.0..3.0_f32, v in -3.0..3.0_f32) {
             // Red rises by 20 per column and green by 30 per row, in the square root of light.
-            let byte = |code: u32| super::super::light::linear_to_srgb((code as f32 / 255.0).powi(2));
             let rgba = (0..48).flat_map(|i| [byte(20 + i % 8 * 20), byte(30 + i / 8 * 30), 0, 255]).collect();
             let chain = MipChain::new(&Texture { width: 8, height: 6, rgba }).unwrap();
             let x = u.rem_euclid(1.0) * 8.0 - 0.5;

@@ -190,6 +190,11 @@ impl Affine {
         self.first + row * self.per_row
     }
 
+    #[inline(always)]
+    fn at(&self, column: f32, row: f32) -> f32 {
+        self.in_row(row) + column * self.per_column
+    }
+
     /// The largest value in a row, given the value at its first pixel.
     #[inline(always)]
     fn max_of_row(&self, first: f32) -> f32 {
@@ -223,8 +228,8 @@ impl Planes {
         }
         // The sign makes the edge functions non-negative inside for both windings.
         let sign = if distance < 0.0 { -1.0 } else { 1.0 };
-        let of_edge = |p: &V3, q: &V3| Affine::new(&(edge(p, q) * sign), view, first);
-        let edges = [of_edge(&b, &c), of_edge(&c, &a), of_edge(&a, &b)];
+        let edges = [(&b, &c), (&c, &a), (&a, &b)]
+            .map(|(p, q)| Affine::new(&(edge(p, q) * sign), view, first));
         if edges[0].max() < 0.0 || edges[1].max() < 0.0 || edges[2].max() < 0.0 {
             return None;
         }
@@ -273,9 +278,8 @@ impl Planes {
     ) {
         for (row, down) in COLUMNS.into_iter().enumerate() {
             for (column, right) in COLUMNS.into_iter().enumerate() {
-                let at = |affine: &Affine| affine.in_row(down) + right * affine.per_column;
-                let inverse = at(&self.inverse_depth);
-                let inside = self.edges.iter().all(|edge| at(edge) >= 0.0);
+                let inverse = self.inverse_depth.at(right, down);
+                let inside = self.edges.iter().all(|edge| edge.at(right, down) >= 0.0);
                 if inside
                     && inverse > block.inverse_depth[row][column]
                     && !is_hole(right, down, 1.0 / inverse)

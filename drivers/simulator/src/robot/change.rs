@@ -27,8 +27,8 @@ impl State {
     /// Counts the driven distance, and changes the robot when it is reached.
     pub(super) fn change_after(&mut self, step_m: f64) {
         self.driven_m += step_m;
-        let is_due = |change: &mut Change| self.driven_m >= change.after_m;
-        let Some(change) = self.options.change.take_if(is_due) else { return };
+        let due = self.options.change.take_if(|change| self.driven_m >= change.after_m);
+        let Some(change) = due else { return };
         self.latency_s += change.camera_late_s - self.options.camera_late_s;
         self.odometer.set_wheels(change.wheels);
         self.options.t_base_camera = change.t_base_camera;

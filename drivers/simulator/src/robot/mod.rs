@@ -12,8 +12,8 @@ mod unevenness;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use hal::{
-    CameraModel, DepthMap, Distortion, Frame, LaserScan, Pose2, Pose3, RobotDescription, Twist2,
-    WheelFeedback,
+    CameraModel, DepthMap, Distortion, Frame, LaserScan, Pose2, Pose3, RobotDescription,
+    ScanGeometry, Twist2, WheelFeedback,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -390,14 +390,9 @@ struct ScanMotion {
 
 impl ScanMotion {
     fn scan(&self, model: &LaserModel, rng: &mut Pcg64Mcg, scan: &mut LaserScan) {
-        let t_world_laser = |beam| {
-            let after_ns = laser::beam_after_ns(&model.geometry, beam) as i64;
-            let time_ns = self.start_ns + after_ns - self.late_ns as i64;
-            self.floor.raise(&self.trail.at(time_ns)) * self.t_base_laser
-        };
         laser::scan(
             self.world.renderer(),
-            t_world_laser,
+            |beam| self.t_world_laser(beam, &model.geometry),
             &self.people,
             model,
             rng,
@@ -405,6 +400,12 @@ impl ScanMotion {
             u64::try_from(self.start_ns).unwrap_or(0),
             scan,
         );
+    }
+
+    fn t_world_laser(&self, beam: usize, geometry: &ScanGeometry) -> Pose3 {
+        let after_ns = laser::beam_after_ns(geometry, beam) as i64;
+        let time_ns = self.start_ns + after_ns - self.late_ns as i64;
+        self.floor.raise(&self.trail.at(time_ns)) * self.t_base_laser
     }
 }
 

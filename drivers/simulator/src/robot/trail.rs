@@ -55,15 +55,17 @@ impl Trail {
 fn part_of(motion: &Pose2, share: f64) -> Pose2 {
     let half = motion.yaw_rad / 2.0;
     let part = half * share;
-    // Chord by arc: sin(x) / x.
-    let chord = |angle: f64| if angle.abs() < 1e-9 { 1.0 } else { angle.sin() / angle };
     let (sin, cos) = (part - half).sin_cos();
-    let scale = share * chord(part) / chord(half);
+    let scale = share * chord_by_arc(part) / chord_by_arc(half);
     Pose2::new(
         scale * (cos * motion.x_m - sin * motion.y_m),
         scale * (sin * motion.x_m + cos * motion.y_m),
         motion.yaw_rad * share,
     )
+}
+
+fn chord_by_arc(angle: f64) -> f64 {
+    if angle.abs() < 1e-9 { 1.0 } else { angle.sin() / angle }
 }
 
 #[cfg(test)]

@@ -68,14 +68,12 @@ fn take(reading: &mut Reading, value: f64, time_ns: u64) {
 /// report one, and the highest temperature.
 #[must_use]
 pub fn combined([left, right]: [PowerReport; 2]) -> PowerReport {
-    let both = |a: Option<f64>, b: Option<f64>, of: fn(f64, f64) -> f64| match (a, b) {
-        (Some(a), Some(b)) => Some(of(a, b)),
-        (a, b) => a.or(b),
-    };
+    let voltages = [left.voltage_v, right.voltage_v].into_iter().flatten();
+    let temperatures = [left.temperature_c, right.temperature_c].into_iter().flatten();
     PowerReport {
-        voltage_v: both(left.voltage_v, right.voltage_v, f64::min),
+        voltage_v: voltages.reduce(f64::min),
         current_a: left.current_a.zip(right.current_a).map(|(left, right)| left + right),
-        temperature_c: both(left.temperature_c, right.temperature_c, f64::max),
+        temperature_c: temperatures.reduce(f64::max),
     }
 }
 
@@ -106,14 +104,13 @@ mod tests {
 
     #[test]
     fn a_base_reports_its_weaker_and_its_hotter_side() {
-        let side = |volts, amperes, degrees| PowerReport {
-            voltage_v: Some(volts),
-            current_a: amperes,
-            temperature_c: Some(degrees),
-        };
         let both = combined([side(23.5, Some(1.0), 40.0), side(23.8, Some(2.5), 35.0)]);
         assert_eq!(both, side(23.5, Some(3.5), 40.0));
         let one = combined([side(23.5, None, 40.0), PowerReport::default()]);
         assert_eq!(one, side(23.5, None, 40.0));
+    }
+
+    fn side(volts: f64, amperes: Option<f64>, degrees: f64) -> PowerReport {
+        PowerReport { voltage_v: Some(volts), current_a: amperes, temperature_c: Some(degrees) }
     }
 }

@@ -427,30 +427,26 @@ mod tests {
         let mut at = 0;
         for piece in bytes.chunks(6) {
             let payload = [&(at as u16).to_be_bytes()[..], piece].concat();
-            let frame =
-                CanFrame::new(CanId::Extended(6 << 8 | 254), &payload).expect("a valid frame");
-            assert!(motor.receive(&frame, 0));
+            deliver(motor, 6 << 8 | 254, &payload, 0);
             at += piece.len();
         }
         let length = (at as u16).to_be_bytes();
         let crc = crc.to_be_bytes();
         let end = [10, 1, length[0], length[1], crc[0], crc[1]];
-        assert!(motor.receive(
-            &CanFrame::new(CanId::Extended(7 << 8 | 254), &end).expect("a valid frame"),
-            0
-        ));
+        deliver(motor, 7 << 8 | 254, &end, 0);
+    }
+
+    fn deliver(motor: &mut Vesc, id: u32, data: &[u8], time_ns: u64) {
+        let frame = CanFrame::new(CanId::Extended(id), data).expect("a valid frame");
+        assert!(motor.receive(&frame, time_ns));
     }
 
     #[test]
     fn supply_and_temperatures_are_those_of_status_4_and_status_5() {
         let mut motor = Vesc::new(NODE);
-        let mut deliver = |kind: u32, data: &[u8]| {
-            let frame = CanFrame::new(CanId::Extended(kind << 8 | 10), data).expect("valid");
-            assert!(motor.receive(&frame, 7));
-        };
         // STATUS_4: 41.0 and 58.5 degrees, 3.2 A, 100 degrees of position. STATUS_5: 1000 steps, 23.6 V.
-        deliver(16, &[0x01, 0x9a, 0x02, 0x49, 0x00, 0x20, 0x13, 0x88]);
-        deliver(27, &[0x00, 0x00, 0x03, 0xe8, 0x00, 0xec, 0, 0]);
+        deliver(&mut motor, 16 << 8 | 10, &[0x01, 0x9a, 0x02, 0x49, 0x00, 0x20, 0x13, 0x88], 7);
+        deliver(&mut motor, 27 << 8 | 10, &[0x00, 0x00, 0x03, 0xe8, 0x00, 0xec, 0, 0], 7);
         let report = motor.status().power.report(7);
         assert_eq!(report.temperature_c, Some(58.5));
         assert_eq!(report.current_a, Some(3.2));

@@ -138,8 +138,8 @@ impl Bucket {
 
 /// Whether an object is a segment, or its digest or a marker beside it.
 fn is_of_segment(path: &str) -> bool {
-    let is_segment = |path: &str| Name::parse(path).is_ok();
-    is_segment(path) || path.rsplit_once('.').is_some_and(|(segment, _)| is_segment(segment))
+    let segment = path.rsplit_once('.').map(|(segment, _)| segment);
+    Name::parse(path).is_ok() || segment.is_some_and(|segment| Name::parse(segment).is_ok())
 }
 
 fn too_many() -> String {

@@ -117,9 +117,8 @@ impl Ssh {
                 let text = format!("cannot start {}: {error}", options.program);
                 link_error(host, io::Error::new(error.kind(), text))
             })?;
-        let no_pipe = || link_error(host, io::ErrorKind::BrokenPipe.into());
-        let input = child.stdout.take().ok_or_else(no_pipe)?;
-        let output = child.stdin.take().ok_or_else(no_pipe)?;
+        let input = child.stdout.take().ok_or_else(|| no_pipe(host))?;
+        let output = child.stdin.take().ok_or_else(|| no_pipe(host))?;
         // A larger pipe needs fewer context switches; where the system refuses, the default of 64 KiB is enough.
         let _ = rustix::pipe::fcntl_setpipe_size(&input, 1 << 20);
         let mut connection = Self { remote: None, child, without_aes: None };
@@ -164,6 +163,10 @@ impl Reconnect {
 
 fn link_error(host: &str, source: io::Error) -> StoreError {
     StoreError::Link { to: host.to_owned(), source }
+}
+
+fn no_pipe(host: &str) -> StoreError {
+    link_error(host, io::ErrorKind::BrokenPipe.into())
 }
 
 impl Drop for Ssh {

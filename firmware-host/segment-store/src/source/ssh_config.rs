@@ -109,15 +109,15 @@ mod tests {
     #[test]
     fn a_connection_is_shared_unless_the_configuration_sets_its_own_control_path() {
         let dir = tempfile::tempdir().unwrap();
-        let runtime_dir = || Some(dir.path().to_owned());
-        let options = SshConfig::parse(CIPHERS).sharing(runtime_dir());
+        let runtime_dir = Some(dir.path().to_owned());
+        let options = SshConfig::parse(CIPHERS).sharing(runtime_dir.clone());
         assert!(
             options.contains(&format!("-oControlPath={}/embodied-depth/%C", dir.path().display())),
             "{options:?}"
         );
         assert!(dir.path().join("embodied-depth").is_dir());
         let own = SshConfig::parse("controlmaster auto\ncontrolpath /home/me/.ssh/x\n");
-        assert!(own.sharing(runtime_dir()).is_empty());
+        assert!(own.sharing(runtime_dir).is_empty());
         assert!(SshConfig::parse(CIPHERS).sharing(None).is_empty());
         let long = dir.path().join("x".repeat(80));
         assert!(SshConfig::parse(CIPHERS).sharing(Some(long.clone())).is_empty() && !long.exists());

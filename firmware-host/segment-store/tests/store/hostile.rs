@@ -59,11 +59,10 @@ fn each_segment_that_is_sent_is_named_first_and_no_other() {
         fetch("tuesday/recording_0000.mcap"),
     ]);
     let mut named = Vec::new();
-    let mut log = |name: &Name| named.push(name.to_string());
     segment_store::serve(
         &Root::open(dir.path()).unwrap(),
         CpuFeatures { aes: true },
-        &mut log,
+        &mut |name: &Name| named.push(name.to_string()),
         &mut Cursor::new(asked),
         &mut Vec::new(),
     )
@@ -108,14 +107,15 @@ fn an_older_workstation_is_not_told_what_cannot_be_read_because_it_does_not_know
     robot(dir.path());
     symlink("recording_0000.mcap", dir.path().join("monday/recording_0009.mcap")).unwrap();
     let root = Root::open(dir.path()).unwrap();
-    let unread = |newest: u16| {
-        let answer =
-            served(&root, &requests(&[Request::Hello { versions: (1, newest) }, Request::List]));
-        Remote::greet("robot", Cursor::new(answer), Vec::new(), 1).unwrap().list().unwrap().unread
-    };
-    assert_eq!(unread(2), [""; 0]);
-    let [said] = unread(3).try_into().unwrap();
+    assert_eq!(unread(&root, 2), [""; 0]);
+    let [said] = unread(&root, 3).try_into().unwrap();
     assert!(said.contains("monday/recording_0009.mcap: it is a symbolic link"), "{said}");
+}
+
+fn unread(root: &Root, newest: u16) -> Vec<String> {
+    let answer =
+        served(root, &requests(&[Request::Hello { versions: (1, newest) }, Request::List]));
+    Remote::greet("robot", Cursor::new(answer), Vec::new(), 1).unwrap().list().unwrap().unread
 }
 
 #[test]
@@ -246,7 +246,6 @@ fn pull_from(replies: &[Reply<'_>]) -> (Result<u64, StoreError>, tempfile::TempD
 fn a_robot_that_violates_the_protocol_completes_no_file() {
     let digest = Digest::of(b"0123456789");
     let start = Reply::Start { from: 0, length: 10 };
-    let data = |at, bytes| Reply::Data { at, bytes };
     let good =
         [start.clone(), data(0, b"01234"), data(5, b"56789"), Reply::End { digest }, Reply::Marked];
     let (result, here) = pull_from(&good);
@@ -270,6 +269,10 @@ fn a_robot_that_violates_the_protocol_completes_no_file() {
         assert!(result.is_err(), "{replies:?}");
         assert!(!here.path().join("recording_0000.mcap").exists(), "{replies:?}");
     }
+}
+
+fn data(at: u64, bytes: &[u8]) -> Reply<'_> {
+    Reply::Data { at, bytes }
 }
 
 #[test]

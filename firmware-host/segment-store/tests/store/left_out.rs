@@ -87,18 +87,19 @@ fn what_belongs_to_another_account_is_named_with_the_account_that_can_read_it() 
 fn segments_that_are_missing_between_others_are_known() {
     let dir = tempfile::tempdir().unwrap();
     let segments = monday(dir.path());
-    let gaps = || -> Vec<String> {
-        let (_, catalogue) = Catalogue::open(dir.path()).unwrap();
-        catalogue.gaps().iter().map(ToString::to_string).collect()
-    };
-    assert!(gaps().is_empty());
+    assert!(gaps(dir.path()).is_empty());
     fs::remove_file(&segments[1]).unwrap();
-    assert_eq!(gaps(), ["monday/recording_0001.mcap"]);
+    assert_eq!(gaps(dir.path()), ["monday/recording_0001.mcap"]);
     fs::rename(&segments[2], dir.path().join("monday/recording_10000.mcap")).unwrap();
-    assert_eq!(gaps(), ["monday/recording_0001.mcap to recording_9999.mcap"]);
+    assert_eq!(gaps(dir.path()), ["monday/recording_0001.mcap to recording_9999.mcap"]);
     // The robot deletes the oldest segments first: a run that lacks its first segments has no gap.
     fs::remove_file(&segments[0]).unwrap();
-    assert!(gaps().is_empty());
+    assert!(gaps(dir.path()).is_empty());
+}
+
+fn gaps(dir: &Path) -> Vec<String> {
+    let (_, catalogue) = Catalogue::open(dir).unwrap();
+    catalogue.gaps().iter().map(ToString::to_string).collect()
 }
 
 #[test]
@@ -198,8 +199,9 @@ fn of_two_exports_into_one_output_one_succeeds_and_is_complete() {
         let to_mcap = dir.path().join(format!("run{round}.mcap"));
         let mut results = Vec::new();
         std::thread::scope(|scope| {
-            let export = || (tum(&segments, &to).map(drop), mcap(&segments, &to_mcap).map(drop));
-            let started = [scope.spawn(export), scope.spawn(export)];
+            let started = [(); 2].map(|()| {
+                scope.spawn(|| (tum(&segments, &to).map(drop), mcap(&segments, &to_mcap).map(drop)))
+            });
             results.extend(started.map(|thread| thread.join().unwrap()));
         });
         let (folders, files): (Vec<_>, Vec<_>) = results.into_iter().unzip();

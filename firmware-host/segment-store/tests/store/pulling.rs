@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::Path;
 use std::time::SystemTime;
 
 use crate::common::{FILES, assert_same, connect, pull_into, robot, segment};
@@ -55,13 +56,16 @@ fn pulled_recordings_are_for_the_account_that_pulls_only() {
     robot(there.path());
     let data = here.path().join("data/kitchen");
     pull_into(&mut connect(there.path()), &data, Options::default()).unwrap();
-    let mode = |path: &str| fs::metadata(data.join(path)).unwrap().permissions().mode() & 0o777;
     for folder in ["", "monday", "tuesday"] {
-        assert_eq!(mode(folder), 0o700, "the folder {folder:?}");
+        assert_eq!(mode(&data.join(folder)), 0o700, "the folder {folder:?}");
     }
     for file in FILES {
-        assert_eq!(mode(file), 0o600, "{file}");
+        assert_eq!(mode(&data.join(file)), 0o600, "{file}");
     }
+}
+
+fn mode(path: &Path) -> u32 {
+    fs::metadata(path).unwrap().permissions().mode() & 0o777
 }
 
 #[test]

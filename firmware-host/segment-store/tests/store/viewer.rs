@@ -92,12 +92,9 @@ fn map_scan_path_and_goal_have_a_form_that_rerun_draws() {
     let dir = tempfile::tempdir().unwrap();
     let (done, messages) = exported(recorded(dir.path(), &[tick(4), tick(5)], Some(ZERO_UNIX_NS)));
     for topic in ["/map", "/scan", "/path", "/depth", "/goal"] {
-        let of_it = |name: &str| {
-            name == topic || name.strip_prefix(topic).is_some_and(|rest| rest.starts_with('/'))
-        };
         let schemas: Vec<&str> = messages
             .iter()
-            .filter(|(name, _)| of_it(name))
+            .filter(|(name, _)| is_of_topic(name, topic))
             .map(|(_, found)| found[0].0.as_str())
             .collect();
         assert!(
@@ -107,6 +104,10 @@ fn map_scan_path_and_goal_have_a_form_that_rerun_draws() {
     }
     assert_eq!((done.ticks, done.unreadable, done.bad_chunks), (2, 0, 0));
     assert_eq!(done.messages, messages.values().map(|found| found.len() as u64).sum::<u64>());
+}
+
+fn is_of_topic(name: &str, topic: &str) -> bool {
+    name == topic || name.strip_prefix(topic).is_some_and(|rest| rest.starts_with('/'))
 }
 
 #[test]

@@ -75,11 +75,10 @@ impl Wheels {
 
     /// The first key in which the wheels of a configuration are others.
     fn difference(&self, now: &Self) -> Option<&'static str> {
-        let far = |one: f64, other: f64| (one / other).max(other / one) > GEOMETRY;
         let keys = [
             ("protocol", self.protocol != now.protocol),
-            ("wheel_radius_m", far(self.wheel_radius_m, now.wheel_radius_m)),
-            ("track_m", far(self.track_m, now.track_m)),
+            ("wheel_radius_m", is_far(self.wheel_radius_m, now.wheel_radius_m)),
+            ("track_m", is_far(self.track_m, now.track_m)),
             ("gear_ratio", self.gear_ratio.to_bits() != now.gear_ratio.to_bits()),
             ("swap_wheels", self.swap_wheels != now.swap_wheels),
             ("invert_left", self.invert_left != now.invert_left),
@@ -87,6 +86,10 @@ impl Wheels {
         ];
         keys.into_iter().find_map(|(key, differs)| differs.then_some(key))
     }
+}
+
+fn is_far(one: f64, other: f64) -> bool {
+    (one / other).max(other / one) > GEOMETRY
 }
 
 /// The file of a configuration at `path`.
@@ -108,7 +111,7 @@ pub fn write(
     assumed: &Assumed,
     judgements: &[Judgement],
 ) -> Result<PathBuf> {
-    let worse = || judgements.iter().filter(|judgement| judgement.is_worse);
+    let worse: Vec<&Judgement> = judgements.iter().filter(|judgement| judgement.is_worse).collect();
     let file = File {
         date: jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
         speed_mps: rounded(measured.speed_mps),
@@ -119,8 +122,8 @@ pub fn write(
         roll_out_speed_mps: rounded(measured.last_speed_mps),
         roll_out_m: rounded(measured.roll_out_m),
         lidar_yaw_deg: lidar_yaw_deg(measured).map(rounded),
-        worse: worse().map(|judgement| judgement.what).collect(),
-        advice: worse().map(|judgement| judgement.advice.as_str()).collect(),
+        worse: worse.iter().map(|judgement| judgement.what).collect(),
+        advice: worse.iter().map(|judgement| judgement.advice.as_str()).collect(),
         wheels: Wheels::of(&config.devices.base),
         measured: *measured,
     };
@@ -134,21 +137,21 @@ pub fn write(
 /// # Errors
 /// There is no measurement beside the configuration, it is of other wheels, or worse than what is assumed.
 pub fn require(config: &Config, path: &Path) -> Result<(), ConfigError> {
-    let refused = |why| ConfigError::NotCommissioned { path: path.to_owned(), why };
     match config.run.commissioning {
         Commissioning::Unchecked | Commissioning::ByHand => Ok(()),
-        Commissioning::Measured => borne_out(config, &place(config, path)).map_err(refused),
+        Commissioning::Measured => borne_out(config, &place(config, path))
+            .map_err(|why| ConfigError::NotCommissioned { path: path.to_owned(), why }),
     }
 }
 
 fn borne_out(config: &Config, file: &Path) -> Result<(), String> {
-    let of = |why: &dyn std::fmt::Display| format!("{}: {why}", file.display());
-    let text = fs::read_to_string(file).map_err(|error| of(&error))?;
-    let kept: Kept = toml::from_str(&text).map_err(|error| of(&error.message()))?;
+    let text = fs::read_to_string(file).map_err(|error| in_file(file, &error))?;
+    let kept: Kept = toml::from_str(&text).map_err(|error| in_file(file, &error.message()))?;
     if let Some(key) = kept.wheels.difference(&Wheels::of(&config.devices.base)) {
-        return Err(of(&format!(
-            "devices.base.{key} has changed since `check --drive` measured the robot"
-        )));
+        return Err(in_file(
+            file,
+            &format!("devices.base.{key} has changed since `check --drive` measured the robot"),
+        ));
     }
     let judgements = judge::all(&kept.measured, &Assumed::new(config));
     match judgements.iter().find(|judgement| judgement.is_worse) {
@@ -157,6 +160,10 @@ fn borne_out(config: &Config, file: &Path) -> Result<(), String> {
             Err(format!("{what} was measured as {measured}, and {assumed} is assumed: {advice}"))
         }
     }
+}
+
+fn in_file(file: &Path, why: &dyn std::fmt::Display) -> String {
+    format!("{}: {why}", file.display())
 }
 
 /// Three digits behind the point: a millimetre, or a millisecond.

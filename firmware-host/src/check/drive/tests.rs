@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
+use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -228,14 +229,15 @@ fn a_turned_scanner_is_measured_within_a_degree() {
         let (measured, _) = driven(robot);
         let yaw_deg = judge::lidar_yaw_deg(&measured).unwrap();
         assert!((yaw_deg - turned_deg).abs() < 1.0, "{yaw_deg} of {turned_deg}");
-        let judged = |yaw_deg| {
-            let judgements =
-                judge::all(&measured, &Assumed { lidar_yaw_deg: yaw_deg, ..assumed() });
-            judgements.into_iter().find(|one| one.what == "yaw of the LiDAR").unwrap()
-        };
-        assert!(judged(0.0).is_worse && judged(0.0).advice.starts_with("set `lidar.yaw_deg = "));
-        assert!(!judged(turned_deg).is_worse, "as configured");
+        let unset = judged(&measured, 0.0);
+        assert!(unset.is_worse && unset.advice.starts_with("set `lidar.yaw_deg = "));
+        assert!(!judged(&measured, turned_deg).is_worse, "as configured");
     }
+}
+
+fn judged(measured: &Measured, lidar_yaw_deg: f64) -> Judgement {
+    let judgements = judge::all(measured, &Assumed { lidar_yaw_deg, ..assumed() });
+    judgements.into_iter().find(|one| one.what == "yaw of the LiDAR").unwrap()
 }
 
 #[test]
@@ -294,21 +296,28 @@ fn run_starts_only_beside_a_measurement_that_bears_out_what_it_assumes() {
     let mut config = Config::default();
     file::require(&config, &path).unwrap();
     config.run.commissioning = Commissioning::Measured;
-    let why = |config: &Config| file::require(config, &path).unwrap_err().to_string();
-    assert!(why(&config).contains("check --drive") && why(&config).contains("commissioning.toml"));
+    let why = refusal(&config, &path);
+    assert!(why.contains("check --drive") && why.contains("commissioning.toml"), "{why}");
     let (measured, judgements) = driven(Robot::new());
     file::write(&config, &path, &measured, &assumed(), &judgements).unwrap();
     file::require(&config, &path).unwrap();
 
     let mut other = config.clone();
     other.devices.base.track_m *= 1.2;
-    assert!(why(&other).contains("devices.base.track_m has changed"), "{}", why(&other));
+    let why = refusal(&other, &path);
+    assert!(why.contains("devices.base.track_m has changed"), "{why}");
     let mut hopeful = config.clone();
     hopeful.run.brake_mps2 = 5.0;
-    assert!(why(&hopeful).contains("braking distance was measured as"), "{}", why(&hopeful));
-    assert!(why(&hopeful).contains("run.brake_mps2 = "), "{}", why(&hopeful));
+    let why = refusal(&hopeful, &path);
+    assert!(why.contains("braking distance was measured as"), "{why}");
+    assert!(why.contains("run.brake_mps2 = "), "{why}");
     hopeful.run.commissioning = Commissioning::ByHand;
     file::require(&hopeful, &path).unwrap();
     std::fs::write(folder.path().join("commissioning.toml"), "measured = 1").unwrap();
-    assert!(why(&config).contains("commissioning.toml: "), "{}", why(&config));
+    let why = refusal(&config, &path);
+    assert!(why.contains("commissioning.toml: "), "{why}");
+}
+
+fn refusal(config: &Config, path: &Path) -> String {
+    file::require(config, path).unwrap_err().to_string()
 }

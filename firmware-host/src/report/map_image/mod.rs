@@ -311,21 +311,24 @@ fn draw_coordinates(canvas: &mut Canvas, view: &View) {
         return;
     }
     let [right_m, top_m] = view.meters(view.left + view.width, view.top);
-    let whole = |from_m: f64, to_m: f64| from_m.ceil() as i64..=to_m.floor() as i64;
-    for x_m in whole(view.min_m[0], right_m).filter(|x_m| x_m % step == 0) {
+    for x_m in whole_meters(view.min_m[0], right_m).filter(|x_m| x_m % step == 0) {
         let [x, _] = view.pixel([x_m as f64, top_m]);
         let text = format!("x {x_m}");
         if x as i64 + 4 + Font::Label.width(&text) < view.left + view.width {
             canvas.text(x as i64 + 4, view.top + 2, &text, Font::Label, FAINT);
         }
     }
-    for y_m in whole(view.min_m[1], top_m).filter(|y_m| y_m % step == 0) {
+    for y_m in whole_meters(view.min_m[1], top_m).filter(|y_m| y_m % step == 0) {
         let [_, y] = view.pixel([right_m, y_m as f64]);
         let text = format!("y {y_m}");
         if y as i64 - 18 > view.top + 20 {
             canvas.text(view.left + 4, y as i64 - 18, &text, Font::Label, FAINT);
         }
     }
+}
+
+fn whole_meters(from_m: f64, to_m: f64) -> std::ops::RangeInclusive<i64> {
+    from_m.ceil() as i64..=to_m.floor() as i64
 }
 
 /// Draws a scale bar of 1 m, or of 10 m if 1 m is too short to see.

@@ -368,15 +368,16 @@ mod tests {
 
     #[test]
     fn a_model_is_given_coarse_depth_unless_it_asks_for_dense_depth() {
-        let given = |metadata: &[(&str, &str)]| {
-            read(&[tensor("rgb", 3), tensor("coarse", 3)], tensor("depth", 1), metadata)
-                .map(|spec| spec.given)
-        };
         assert_eq!(given(&[]), Ok(GivenDepth::Coarse));
         assert_eq!(given(&[("given_depth", "coarse")]), Ok(GivenDepth::Coarse));
         assert_eq!(given(&[("given_depth", "dense")]), Ok(GivenDepth::Dense));
         let error = given(&[("given_depth", "sparse")]).unwrap_err();
         assert!(matches!(error, NetworkError::Metadata { key: "given_depth", .. }), "{error}");
+    }
+
+    fn given(metadata: &[(&str, &str)]) -> Result<GivenDepth, NetworkError> {
+        read(&[tensor("rgb", 3), tensor("coarse", 3)], tensor("depth", 1), metadata)
+            .map(|spec| spec.given)
     }
 
     #[test]

@@ -54,11 +54,9 @@ proptest! {
         ends in (0.0..1.0f64, 0.0..1.0f64, 0.0..1.0f64, 0.0..1.0f64),
     ) {
         let costmap = random_map((width, height), patch, blocked, rough, seed);
-        let at = |x: f64, y: f64| {
+        let [start, goal] = [[ends.0, ends.1], [ends.2, ends.3]].map(|[x, y]| {
             Cell::new(-3 + (x * f64::from(width)) as i32, 5 + (y * f64::from(height)) as i32)
-        };
-        let start = at(ends.0, ends.1);
-        let goal = at(ends.2, ends.3);
+        });
         let mut planner = Planner::new(usize::MAX);
         prop_assume!(costmap.is_passable(start));
         let expected = pathfinding::prelude::astar(&start, |cell| successors(&costmap, *cell), |_| 0, |cell| *cell == goal);

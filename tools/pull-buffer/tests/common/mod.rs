@@ -16,6 +16,13 @@ use hil::noise;
 use hil::sshd::Sshd;
 use tempfile::{TempDir, tempdir};
 
+/// Removes the markers that say which of the robot's segments were pulled.
+pub fn unmark(robot: &Path, segments: u64) {
+    for number in 0..segments {
+        let _ = fs::remove_file(robot.join(format!("run/recording_{number:04}.mcap.pulled")));
+    }
+}
+
 /// An ssh server on loopback.
 pub struct Server {
     pub sshd: Sshd,

@@ -106,8 +106,7 @@ impl Workshop<'_> {
                 leaf_point(out, -0.004, up * 0.75, at, [c, s]),
             ];
             let start = self.between(0.0, 1.0);
-            let uv = |a: f32, b: f32| [start + a, b];
-            let strip = [uv(0.0, 0.1), uv(0.4, 0.0), uv(0.4, 0.3), uv(0.0, 0.2)];
+            let strip = [[start, 0.1], [start + 0.4, 0.0], [start + 0.4, 0.3], [start, 0.2]];
             mesh.quad([root[0], wide[0], wide[1], root[1]], strip, self.leaf);
             mesh.quad([wide[0], tip[1], tip[0], wide[1]], strip, self.leaf);
         }

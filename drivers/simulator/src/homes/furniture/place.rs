@@ -126,9 +126,11 @@ impl RoomFloor {
             _ => rng.random_range(0.0..=1.0),
         };
         let s = [GAP_M + slack * share, GAP_M + slack * share + w];
-        let covers =
-            |(other, span): &(Side, [f32; 2])| *other == side && span[0] < s[1] && s[0] < span[1];
-        if h > TALL_M && self.shown.iter().any(covers) {
+        let is_covered = self
+            .shown
+            .iter()
+            .any(|(other, span)| *other == side && span[0] < s[1] && s[0] < span[1]);
+        if h > TALL_M && is_covered {
             return None;
         }
         let rect = wall.rect(s, [GAP_M, GAP_M + d]);

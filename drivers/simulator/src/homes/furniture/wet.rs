@@ -106,9 +106,9 @@ impl Workshop<'_> {
         for i in 0..10 {
             let (x0, y0) = curtain_fold(i, w);
             let (x1, y1) = curtain_fold(i + 1, w);
-            let uv = |x: f32, z: f32| [x * 1.4 / cloth.tile_m, -z / cloth.tile_m];
             let corners = [[x1, y1, 0.12], [x0, y0, 0.12], [x0, y0, h], [x1, y1, h]];
-            m.quad(corners, [uv(x1, 0.12), uv(x0, 0.12), uv(x0, h), uv(x1, h)], cloth);
+            let uv = corners.map(|[x, _, z]| [x * 1.4 / cloth.tile_m, -z / cloth.tile_m]);
+            m.quad(corners, uv, cloth);
         }
         m.trim([w / 2.0 - 0.012, 0.005, 0.9], [w / 2.0 + 0.012, 0.03, 1.95], self.metal);
         m.post([w / 2.0, 0.16], [1.93, 1.96], [0.09, 0.09], 8, self.metal);

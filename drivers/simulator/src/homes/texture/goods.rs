@@ -26,13 +26,16 @@ pub fn cloth(version: u8, seed: u64) -> Texture {
     let folds = Field::fractal([SIZE, SIZE], [3, 3], 5, 0.95, seed ^ 34);
     gray(SIZE, |x, y| {
         let base = 205.0 + 9.0 * folds.at(x, y) + 6.0 * weave.at(x, y);
-        let band = |p: usize| 26.0 * (hash(seed, (p * 10 / SIZE) as u64) - 0.5);
         match version % 3 {
             0 => base,
-            1 => base + band(x) + band(y + SIZE * 2),
+            1 => base + band(x * 10 / SIZE, seed) + band((y + SIZE * 2) * 10 / SIZE, seed),
             _ => base + 8.0 * folds.at(x * 3, y * 3 + 40),
         }
     })
+}
+
+fn band(index: usize, seed: u64) -> f32 {
+    26.0 * (hash(seed, index as u64) - 0.5)
 }
 
 /// Finger marks, dust and fine specks.

@@ -65,11 +65,10 @@ fn flower(x: usize, y: usize, cell: f32, seed: u64) -> f32 {
         let column = (x as f32 / cell) as usize;
         for c in column + ROWS - 1..=column + ROWS + 1 {
             let id = seed ^ (r * ROWS + c % ROWS) as u64;
-            let jitter = |k: u64| hash(id, k) - 0.5;
+            let [jitter_x, jitter_y] = [1, 2].map(|k| hash(id, k) - 0.5);
             let offset = 0.5 * (r % 2) as f32;
-            let dx =
-                wrapped_distance(x as f32 - (c as f32 + 0.5 + offset + 0.5 * jitter(1)) * cell);
-            let dy = wrapped_distance(y as f32 - (r as f32 + 0.5 + 0.5 * jitter(2)) * cell);
+            let dx = wrapped_distance(x as f32 - (c as f32 + 0.5 + offset + 0.5 * jitter_x) * cell);
+            let dy = wrapped_distance(y as f32 - (r as f32 + 0.5 + 0.5 * jitter_y) * cell);
             let petals = (3.0 + (hash(id, 3) * 4.0).floor()) * dy.atan2(dx) + 6.3 * hash(id, 4);
             let reach = cell * (0.22 + 0.2 * hash(id, 5)) * (0.7 + 0.3 * petals.cos());
             best = best.max(((reach - dx.hypot(dy)) / 4.0).clamp(0.0, 1.0) * (0.5 + hash(id, 6)));

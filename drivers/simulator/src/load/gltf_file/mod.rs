@@ -43,8 +43,10 @@ fn placed_nodes(file: &File) -> Result<Vec<(&Node, Matrix4<f64>)>, SceneError> {
         None => {
             let children: Vec<_> =
                 root.nodes.iter().filter_map(|n| n.children.as_ref()).flatten().collect();
-            let is_child = |index: usize| children.iter().any(|child| child.value() == index);
-            (0..root.nodes.len()).filter(|&i| !is_child(i)).map(|i| Index::new(i as u32)).collect()
+            (0..root.nodes.len())
+                .filter(|&i| !children.iter().any(|child| child.value() == i))
+                .map(|i| Index::new(i as u32))
+                .collect()
         }
     };
     let mut seen = vec![false; root.nodes.len()];

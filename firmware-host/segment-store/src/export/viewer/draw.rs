@@ -68,13 +68,14 @@ pub(super) fn voxels(grid: &fox::Grid) -> Option<fox::VoxelGrid> {
 fn cube([_, _, _, _, occupancy]: &[u8; CELL_BYTES as usize]) -> [u8; CELL_BYTES as usize] {
     let value = i8::from_le_bytes([*occupancy]);
     let share = f64::from(value.clamp(0, 100)) / 100.0;
-    let mixed = |channel: usize| {
-        let [free, occupied] = [FREE, OCCUPIED].map(|color| f64::from(color[channel]));
-        (free + (occupied - free) * share).round() as u8
-    };
     let [red, green, blue, alpha] =
-        if value < 0 { UNKNOWN } else { [mixed(0), mixed(1), mixed(2), 255] };
+        if value < 0 { UNKNOWN } else { [mixed(0, share), mixed(1, share), mixed(2, share), 255] };
     [red, green, blue, alpha, *occupancy]
+}
+
+fn mixed(channel: usize, share: f64) -> u8 {
+    let [free, occupied] = [FREE, OCCUPIED].map(|color| f64::from(color[channel]));
+    (free + (occupied - free) * share).round() as u8
 }
 
 /// A circle around the robot with a line in the direction of its heading.

@@ -21,14 +21,10 @@ pub(super) struct Poses {
 impl Poses {
     /// Takes the transforms of a tick.
     pub fn take(&mut self, message: &fox::FrameTransforms, time_ns: u64) {
-        let find = |child: &str| {
-            let found = message.transforms.iter().find(|found| found.child_frame_id == child)?;
-            pose(found)
-        };
         self.before = self.now;
-        self.now = find("base_link").map(|t_odom_base| (time_ns, t_odom_base));
-        self.t_map_odom = find("odom");
-        self.t_base_laser = find("laser");
+        self.now = pose_of(message, "base_link").map(|t_odom_base| (time_ns, t_odom_base));
+        self.t_map_odom = pose_of(message, "odom");
+        self.t_base_laser = pose_of(message, "laser");
     }
 
     /// The robot's pose in `map` at the newest tick, unless the robot is lost.
@@ -53,6 +49,10 @@ impl Poses {
     }
 }
 
+fn pose_of(message: &fox::FrameTransforms, child: &str) -> Option<Pose3> {
+    pose(message.transforms.iter().find(|found| found.child_frame_id == child)?)
+}
+
 fn pose(transform: &fox::FrameTransform) -> Option<Pose3> {
     let at = transform.translation?;
     let q = transform.rotation?;
@@ -67,23 +67,24 @@ mod tests {
     use super::*;
 
     fn transforms(x_m: f64, yaw_rad: f64) -> fox::FrameTransforms {
-        let transform = |parent: &str, child: &str, pose: Pose3| {
-            let at = pose.translation.vector;
-            let q = pose.rotation;
-            fox::FrameTransform {
-                timestamp: None,
-                parent_frame_id: parent.to_owned(),
-                child_frame_id: child.to_owned(),
-                translation: Some(fox::Vector3 { x: at.x, y: at.y, z: at.z }),
-                rotation: Some(fox::Quaternion { x: q.i, y: q.j, z: q.k, w: q.w }),
-            }
-        };
         fox::FrameTransforms {
             transforms: vec![
                 transform("base_link", "laser", Pose3::translation(0.1, 0.0, 0.2)),
                 transform("odom", "base_link", Pose2::new(x_m, 0.0, yaw_rad).to_pose3()),
                 transform("map", "odom", Pose2::new(0.0, 5.0, 0.0).to_pose3()),
             ],
+        }
+    }
+
+    fn transform(parent: &str, child: &str, pose: Pose3) -> fox::FrameTransform {
+        let at = pose.translation.vector;
+        let q = pose.rotation;
+        fox::FrameTransform {
+            timestamp: None,
+            parent_frame_id: parent.to_owned(),
+            child_frame_id: child.to_owned(),
+            translation: Some(fox::Vector3 { x: at.x, y: at.y, z: at.z }),
+            rotation: Some(fox::Quaternion { x: q.i, y: q.j, z: q.k, w: q.w }),
         }
     }
 

@@ -40,21 +40,24 @@ pub fn segment_with_channels(seed: u64, ticks: u64, bytes: usize, channels: usiz
     for tick in 0..ticks {
         let data: Vec<u8> =
             (0..bytes.div_ceil(8)).flat_map(|_| noise.next().to_le_bytes()).collect();
-        let time = tick * 100_000_000;
-        let header = |channel_id| mcap::records::MessageHeader {
-            channel_id,
-            sequence: tick as u32,
-            log_time: time,
-            publish_time: time,
-        };
-        writer.write_to_known_channel(&header(tick_channel), &data).unwrap();
+        writer.write_to_known_channel(&header(tick_channel, tick), &data).unwrap();
         if tick < 2 {
-            writer.write_to_known_channel(&header(events), b"{}").unwrap();
+            writer.write_to_known_channel(&header(events, tick), b"{}").unwrap();
         }
     }
     writer.finish().unwrap();
     drop(writer);
     out.into_inner()
+}
+
+fn header(channel_id: u16, tick: u64) -> mcap::records::MessageHeader {
+    let time = tick * 100_000_000;
+    mcap::records::MessageHeader {
+        channel_id,
+        sequence: tick as u32,
+        log_time: time,
+        publish_time: time,
+    }
 }
 
 /// An object store that contains a robot's directory.
