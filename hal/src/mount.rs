@@ -4,7 +4,8 @@ use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::{Pose2, Pose3};
 
-/// The camera's place on the robot. The default is the paper's: 0.8 m high, level, facing forward.
+/// The camera's place on the robot. By default it is 0.8 m high, as in the paper, and looks forward and 16 degrees down: a camera with
+/// 33 degrees between the upper and the lower edge of its image sees the floor from 1.25 m on, and the horizon at the upper edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraMount {
     /// Height of the optical centre above the floor.
@@ -23,18 +24,21 @@ pub struct CameraMount {
 
 impl Default for CameraMount {
     fn default() -> Self {
-        Self {
-            height_m: 0.8,
-            forward_m: 0.0,
-            left_m: 0.0,
-            pitch_down_deg: 0.0,
-            roll_deg: 0.0,
-            yaw_deg: 0.0,
-        }
+        Self { pitch_down_deg: 16.0, ..Self::LEVEL }
     }
 }
 
 impl CameraMount {
+    /// The paper's mount: level. It sees the floor from 2.7 m on, so that stairs nearer than that are not seen.
+    pub const LEVEL: Self = Self {
+        height_m: 0.8,
+        forward_m: 0.0,
+        left_m: 0.0,
+        pitch_down_deg: 0.0,
+        roll_deg: 0.0,
+        yaw_deg: 0.0,
+    };
+
     /// The mount whose pose is `t_base_camera`. A camera that points straight up or down has no yaw.
     #[must_use]
     pub fn of(t_base_camera: &Pose3) -> Self {
@@ -141,14 +145,14 @@ mod tests {
 
     #[test]
     fn yaw_turns_the_optical_axis_to_the_left_and_left_moves_the_camera_there() {
-        let mount = CameraMount { left_m: 0.2, yaw_deg: 90.0, ..CameraMount::default() };
+        let mount = CameraMount { left_m: 0.2, yaw_deg: 90.0, ..CameraMount::LEVEL };
         let ahead = mount.t_base_camera() * Point3::new(0.0, 0.0, 1.0);
         assert!(close(ahead, [0.0, 1.2, 0.8]));
     }
 
     #[test]
     fn a_positive_roll_lowers_the_right_side_of_the_camera() {
-        let mount = CameraMount { roll_deg: 30.0, ..CameraMount::default() };
+        let mount = CameraMount { roll_deg: 30.0, ..CameraMount::LEVEL };
         let right = mount.t_base_camera() * Point3::new(1.0, 0.0, 0.0);
         assert!(close(right, [0.0, -(0.75_f64.sqrt()), 0.3]));
     }
@@ -167,7 +171,7 @@ mod tests {
         fn a_mount_is_known_by_its_pose(
             roll_deg in -45.0..45.0f64, yaw_deg in -170.0..170.0f64, pitch_down_deg in -80.0..80.0f64,
         ) {
-            let mount = CameraMount { left_m: 0.1, pitch_down_deg, roll_deg, yaw_deg, ..CameraMount::default() };
+            let mount = CameraMount { left_m: 0.1, pitch_down_deg, roll_deg, yaw_deg, ..CameraMount::LEVEL };
             let found = CameraMount::of(&mount.t_base_camera());
             prop_assert!((found.roll_deg - roll_deg).abs() < 1e-6);
             prop_assert!((found.pitch_down_deg - pitch_down_deg).abs() < 1e-6);
@@ -177,7 +181,7 @@ mod tests {
 
         #[test]
         fn roll_never_moves_the_optical_axis(roll_deg in -180.0..180.0f64, yaw_deg in -180.0..180.0f64, pitch_down_deg in -80.0..80.0f64) {
-            let mount = CameraMount { pitch_down_deg, yaw_deg, ..CameraMount::default() };
+            let mount = CameraMount { pitch_down_deg, yaw_deg, ..CameraMount::LEVEL };
             let rolled = CameraMount { roll_deg, ..mount };
             let ahead = Point3::new(0.0, 0.0, 1.0);
             let difference = mount.t_base_camera() * ahead - rolled.t_base_camera() * ahead;

@@ -1,24 +1,18 @@
-//! `cargo xtask stairs`: explores homes with stairs down, with and without marked drops, and with a camera mount that sees the floor from
-//! nearer.
+//! `cargo xtask stairs`: explores homes with stairs down, with the default camera and with the paper's level one.
 
 use anyhow::{Context, Result};
 use serde_json::Value;
 
-use crate::explore::{self, Exploration};
+use crate::explore::{self, Exploration, figure};
 use crate::paths;
 use crate::tables::{self, Table};
 
 /// The homes, each with the number of its seeds.
 const HOMES: [(&str, u64); 3] = [("apartment", 4), ("house", 3), ("office", 3)];
-/// The camera's mount and what is marked in words, the name of their folders, and their configuration.
-const MOUNTS: [(&str, &str, &str); 3] = [
-    ("level, drops marked up to 4 m (default)", "drops", ""),
-    ("level, no drops marked", "level", "[map]\ndrop_range_m = 0.0\n"),
-    (
-        "16 degrees down, drops marked up to 2 m",
-        "pitched",
-        "[camera]\npitch_down_deg = 16.0\n[map]\ndrop_range_m = 2.0\n",
-    ),
+/// The camera's mount, the name of its folders, and its configuration.
+const MOUNTS: [(&str, &str, &str); 2] = [
+    ("16 degrees down (default)", "default", ""),
+    ("level", "level", include_str!("../../firmware-host/presets/level-camera.toml")),
 ];
 const COLUMNS: [&str; 8] = [
     "home",
@@ -91,25 +85,23 @@ struct Results {
 
 impl Results {
     fn of(summary: &Value) -> Self {
-        let share = |path: &str| summary.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN);
         Self {
             // Absent if there were none.
             approaches: summary["edge_approaches"].as_u64().unwrap_or(0),
             falls: u64::from(summary["fell"] == true),
-            coverage: share("/coverage_true"),
-            right: share("/accuracy/coarse/all/right"),
+            coverage: figure(summary, "/coverage_true"),
+            right: figure(summary, "/accuracy/coarse/all/right"),
             collisions: summary["collisions"].as_u64().unwrap_or(0),
         }
     }
 
     fn of_all(summaries: &[Value]) -> Self {
         let all: Vec<Self> = summaries.iter().map(Self::of).collect();
-        let mean = |share: fn(&Self) -> f64| all.iter().map(share).sum::<f64>() / all.len() as f64;
         Self {
             approaches: all.iter().map(|run| run.approaches).sum(),
             falls: all.iter().map(|run| run.falls).sum(),
-            coverage: mean(|run| run.coverage),
-            right: mean(|run| run.right),
+            coverage: mean(&all, |run| run.coverage),
+            right: mean(&all, |run| run.right),
             collisions: all.iter().map(|run| run.collisions).sum(),
         }
     }
@@ -125,6 +117,10 @@ impl Results {
     }
 }
 
+fn mean(all: &[Results], share: fn(&Results) -> f64) -> f64 {
+    all.iter().map(share).sum::<f64>() / all.len() as f64
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -132,13 +128,14 @@ mod tests {
 
     #[test]
     fn counts_are_added_up_and_shares_are_means() {
-        let run = |approaches: u64, fell: bool, coverage: f64| {
-            json!({ "edge_approaches": approaches, "fell": fell, "coverage_true": coverage,
-                "accuracy": { "coarse": { "all": { "right": 0.5 } } }, "collisions": 1 })
-        };
         let all = Results::of_all(&[run(0, false, 0.8), run(3, true, 0.4)]);
         assert_eq!(all.cells(), ["3", "1", "60 %", "0.500", "2"]);
         // A run without a fall has no key for it.
         assert_eq!(Results::of(&json!({ "edge_approaches": 0 })).cells()[1], "0");
+    }
+
+    fn run(approaches: u64, fell: bool, coverage: f64) -> Value {
+        json!({ "edge_approaches": approaches, "fell": fell, "coverage_true": coverage,
+            "accuracy": { "coarse": { "all": { "right": 0.5 } } }, "collisions": 1 })
     }
 }

@@ -80,11 +80,26 @@ impl View {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
+
+    /// The paper's mount, which is a preset.
+    fn level() -> Config {
+        let text = include_str!("../../presets/level-camera.toml");
+        Config::parse(text, Path::new("level-camera.toml")).unwrap()
+    }
+
+    #[test]
+    fn the_default_mount_sees_the_floor_from_nearer_and_needs_no_advice() {
+        let text = View::new(&Config::default()).sentences().join("\n");
+        assert!(text.contains("16 degrees down, sees the floor from 1.25 m"), "{text}");
+        assert!(!text.contains("camera.pitch_down_deg ="), "{text}");
+    }
 
     #[test]
     fn the_papers_mount_sees_no_floor_within_two_and_a_half_metres_and_a_pitch_is_advised() {
-        let text = View::new(&Config::default()).sentences().join("\n");
+        let text = View::new(&level()).sentences().join("\n");
         // A camera of 640 by 192 pixels and 90 degrees sees 96 / 320 below its axis: 0.8 m / 0.3.
         assert!(
             text.contains("0.80 m high and 0 degrees down, sees the floor from 2.67 m"),
@@ -97,16 +112,16 @@ mod tests {
 
     #[test]
     fn marks_of_stairs_that_end_before_the_nearest_floor_are_none() {
-        let mut config = Config::default();
-        let says_so = |config: &Config| {
-            let text = View::new(config).sentences().join("\n");
-            text.contains("no stairs down are marked in the map")
-        };
-        assert!(!says_so(&config));
+        assert!(!warns_of_no_marks(&Config::default()));
+        let mut config = level();
+        assert!(!warns_of_no_marks(&config));
         config.map.drop_range_m = 2.0;
-        assert!(says_so(&config));
-        config.camera.pitch_down_deg = 16.0;
-        assert!(!says_so(&config));
+        assert!(warns_of_no_marks(&config));
+    }
+
+    fn warns_of_no_marks(config: &Config) -> bool {
+        let text = View::new(config).sentences().join("\n");
+        text.contains("no stairs down are marked in the map")
     }
 
     #[test]

@@ -25,7 +25,7 @@ hal::settings! {
         forward_m: f64 = CameraMount::default().forward_m, in -1.0..=1.0, unit "m";
         /// Distance from the centre of the base to the left to the camera.
         left_m: f64 = CameraMount::default().left_m, in -1.0..=1.0, unit "m";
-        /// Angle of the optical axis below the horizon.
+        /// Angle of the optical axis below the horizon. The paper's camera is level, and sees the floor from 2.7 m on instead of 1.25 m.
         pitch_down_deg: f64 = CameraMount::default().pitch_down_deg, in -60.0..=60.0, unit "degrees";
         /// Rotation about the optical axis: positive where the right side of the camera is lower.
         roll_deg: f64 = CameraMount::default().roll_deg, in -45.0..=45.0, unit "degrees";

@@ -103,7 +103,7 @@ pub const QUESTIONS: &[Question] = &[
     Question {
         key: "camera_pitch_down_deg",
         words: "How far does it look down?",
-        help: "0 is level.",
+        help: "0 is level. 16 shows the floor from 1.25 m on, and stairs with it.",
         asked: Asked::Numbers(1),
         only_with: None,
         sets: &[measured("camera.pitch_down_deg", "Optical axis below the horizon, degrees.")],
@@ -399,11 +399,14 @@ const HOKUYO: u16 = 0x15d1;
 
 /// A port that can be opened, those with Hokuyo's own USB identity first.
 fn likely_port(found: &Found) -> Option<usize> {
-    let is_hokuyo = |usb: Option<(u16, u16)>| usb.is_some_and(|(vendor, _)| vendor == HOKUYO);
-    let usable = |wants_hokuyo: bool| {
-        found.ports.iter().position(|it| it.problem.is_none() && is_hokuyo(it.usb) == wants_hokuyo)
-    };
-    usable(true).or_else(|| usable(false))
+    usable_port(found, true).or_else(|| usable_port(found, false))
+}
+
+fn usable_port(found: &Found, wants_hokuyo: bool) -> Option<usize> {
+    found.ports.iter().position(|port| {
+        let is_hokuyo = port.usb.is_some_and(|(vendor, _)| vendor == HOKUYO);
+        port.problem.is_none() && is_hokuyo == wants_hokuyo
+    })
 }
 
 /// The vendors of the USB serial adapters that come with an RPLIDAR, LD06 or LD19: Silicon Labs and WCH (usb.ids).
@@ -485,31 +488,30 @@ mod tests {
 
     #[test]
     fn a_scanner_is_suggested_by_the_usb_identity_of_its_port_and_motors_by_what_is_heard() {
-        let port = |path: &str, usb| FoundPort {
-            path: path.to_owned(),
-            name: String::new(),
-            usb,
-            problem: None,
-        };
         let heard = [7, 9].map(|node| Sender { protocol: Protocol::Vesc, node }).to_vec();
         let bus = FoundBus { name: "can1".to_owned(), problem: None, senders: heard };
         let found = Found {
-            ports: vec![port("/dev/a", Some((0x10c4, 0xea60))), port("/dev/b", Some((HOKUYO, 0)))],
+            ports: vec![port("/dev/a", (0x10c4, 0xea60)), port("/dev/b", (HOKUYO, 0))],
             buses: vec![bus],
             ..Found::default()
         };
         let mut answers = Answers::default();
-        let suggested = |key: &str, answers: &Answers| {
-            let question = QUESTIONS.iter().find(|question| question.key == key).unwrap();
-            question.default(&found, answers).to_string()
-        };
-        assert_eq!(suggested("lidar_port", &answers), "/dev/b");
-        assert_eq!(suggested("bus", &answers), "can1");
+        assert_eq!(suggested(&found, "lidar_port", &answers), "/dev/b");
+        assert_eq!(suggested(&found, "bus", &answers), "can1");
         answers.put("lidar_port", Answer::Text("/dev/a".to_owned()));
         answers.put("bus", Answer::Text("can1".to_owned()));
-        assert_eq!(suggested("lidar", &answers), "rplidar-a1");
-        assert_eq!(suggested("protocol", &answers), "vesc");
-        assert_eq!(suggested("nodes", &answers), "7 9");
+        assert_eq!(suggested(&found, "lidar", &answers), "rplidar-a1");
+        assert_eq!(suggested(&found, "protocol", &answers), "vesc");
+        assert_eq!(suggested(&found, "nodes", &answers), "7 9");
+    }
+
+    fn port(path: &str, usb: (u16, u16)) -> FoundPort {
+        FoundPort { path: path.to_owned(), name: String::new(), usb: Some(usb), problem: None }
+    }
+
+    fn suggested(found: &Found, key: &str, answers: &Answers) -> String {
+        let question = QUESTIONS.iter().find(|question| question.key == key).unwrap();
+        question.default(found, answers).to_string()
     }
 
     #[test]

@@ -62,8 +62,10 @@ fn chosen<'a>(
     if let Some(named) = named {
         return Ok(named);
     }
-    let is_one = |link: &&str| words.iter().any(|word| link.to_lowercase().contains(word));
-    let candidates: Vec<&str> = urdf.links().filter(is_one).collect();
+    let candidates: Vec<&str> = urdf
+        .links()
+        .filter(|link| words.iter().any(|word| link.to_lowercase().contains(word)))
+        .collect();
     match candidates[..] {
         [only] => Ok(only),
         [] => bail!("no link has `{}` in its name; name it by {option}", words.join("` or `")),
@@ -88,7 +90,7 @@ fn camera_section(link: &str, t_base_link: &Pose3) -> String {
         ("", *t_base_link)
     } else {
         // From a link with x ahead and z up to the axes of an image.
-        let forward = CameraMount::default().t_base_camera().rotation;
+        let forward = CameraMount::LEVEL.t_base_camera().rotation;
         (", whose x axis is taken for the optical axis", t_base_link * forward)
     };
     let mount = CameraMount::of(&t_base_camera);
@@ -135,12 +137,13 @@ fn rotary_comment(yaw_deg: f64) -> String {
 
 /// Lines of TOML, rounded to a tenth of a millimetre and of a millidegree.
 fn lines(keys: &[(&str, f64)]) -> String {
-    let line = |(key, value): &(&str, f64)| {
-        // Adding 0 makes -0 positive.
-        let value = (value * 1e4).round() / 1e4 + 0.0;
-        format!("{key} = {value:?}\n")
-    };
-    keys.iter().map(line).collect()
+    keys.iter()
+        .map(|(key, value)| {
+            // Adding 0 makes -0 positive.
+            let value = (value * 1e4).round() / 1e4 + 0.0;
+            format!("{key} = {value:?}\n")
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -151,12 +154,6 @@ mod tests {
     fn robot(camera: &str, lidar: &str) -> String {
         let links = ["base_footprint", "base_link", "camera_link", "camera_optical_frame", "laser"];
         let links = links.map(|name| format!("<link name=\"{name}\"/>")).concat();
-        let joint = |parent: &str, child: &str, origin: &str| {
-            format!(
-                "<joint name=\"{child}_joint\" type=\"fixed\"><parent link=\"{parent}\"/><child link=\"{child}\"/>\
-                 <origin {origin}/></joint>"
-            )
-        };
         let joints = [
             joint("base_footprint", "base_link", "xyz=\"0 0 0.05\""),
             joint("base_link", "camera_link", camera),
@@ -164,6 +161,13 @@ mod tests {
             joint("base_link", "laser", lidar),
         ];
         format!("<robot name=\"r\">{links}{}</robot>", joints.concat())
+    }
+
+    fn joint(parent: &str, child: &str, origin: &str) -> String {
+        format!(
+            "<joint name=\"{child}_joint\" type=\"fixed\"><parent link=\"{parent}\"/><child link=\"{child}\"/>\
+             <origin {origin}/></joint>"
+        )
     }
 
     const CAMERA: &str = "xyz=\"0.1 -0.02 0.7\" rpy=\"0 0.2792527 0\"";
@@ -231,16 +235,17 @@ mod tests {
 
     #[test]
     fn what_the_robot_cannot_use_is_refused_with_the_reason() {
-        let error = |urdf: &str, camera| format!("{:#}", mounts(urdf, camera).unwrap_err());
         let tilted = robot(CAMERA, "rpy=\"0 0.1 0\"");
-        assert!(error(&tilted, None).contains("`laser` is tilted by 5.7 degrees"));
+        assert!(error(&tilted).contains("`laser` is tilted by 5.7 degrees"));
         let high = robot("xyz=\"0 0 9\"", LIDAR);
-        assert!(error(&high, None).contains("camera.height_m"), "{}", error(&high, None));
+        assert!(error(&high).contains("camera.height_m"), "{}", error(&high));
         let two = robot(CAMERA, LIDAR).replace("camera_link", "left_optical");
-        assert!(
-            error(&two, None).contains("camera_optical_frame, left_optical; name it by --camera")
-        );
+        assert!(error(&two).contains("camera_optical_frame, left_optical; name it by --camera"));
         let afloat = robot(CAMERA, LIDAR).replace("base_footprint", "base");
-        assert!(error(&afloat, None).contains("by --base"));
+        assert!(error(&afloat).contains("by --base"));
+    }
+
+    fn error(urdf: &str) -> String {
+        format!("{:#}", mounts(urdf, None).unwrap_err())
     }
 }

@@ -234,7 +234,8 @@ impl FrameMapper {
                 }
                 let range_m = depth_m * ray.range;
                 let height_m = view.height_m + depth_m * ray.rise;
-                let is_obstacle = height_m >= config.band_min_m && height_m <= config.band_max_m;
+                let is_in_band = height_m >= config.band_min_m && height_m <= config.band_max_m;
+                let is_obstacle = is_in_band && self.ground.is_obstacle(ray, range_m, confidence);
                 let is_drop = self.ground.add(ray, view, depth_m, confidence);
                 if let Some(bearing_points) = self.bearings.get_mut(ray.bearing as usize) {
                     bearing_points.points += 1;

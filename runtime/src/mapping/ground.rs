@@ -30,8 +30,8 @@ pub(super) struct GroundCell {
 #[derive(Debug, Clone)]
 pub(super) struct Ground {
     config: MapConfig,
-    /// Error of the logarithm of a depth whose confidence has the inverse hyperbolic tangent 1.
-    log_error: f32,
+    drop_log_error: f32,
+    obstacle_log_error: f32,
     /// Patches along one side of the square around the camera.
     side: usize,
     patches: Vec<Patch>,
@@ -59,9 +59,8 @@ impl Ground {
         let side = 2 * ((config.drop_range_m / PATCH_M).ceil() as usize + 1);
         Self {
             config: config.clone(),
-            // The logarithm of a depth is taken to have a logistic error, whose probability of
-            // being below `a` is tanh(a / 2s). Confidence gives its scale s.
-            log_error: CONFIDENT_FACTOR.ln() * config.drop_certainty.atanh(),
+            drop_log_error: log_error(config.drop_certainty),
+            obstacle_log_error: log_error(config.obstacle_certainty),
             side,
             patches: vec![Patch::default(); side * side],
             points: Vec::new(),
@@ -87,16 +86,18 @@ impl Ground {
         let height_m = view.height_m + depth_m * ray.rise;
         let tolerance_m = self.config.drop_min_m + SLOPE * range_m;
         let is_floor = height_m.abs() <= tolerance_m;
-        let is_drop = height_m < -tolerance_m && self.is_beyond(range_m / crossing_m, confidence);
+        let is_drop = height_m < -tolerance_m
+            && is_larger(range_m / crossing_m, confidence, self.drop_log_error);
         if is_floor || is_drop {
             self.push(ray, view, confidence, is_drop);
         }
         is_drop
     }
 
-    /// Whether a depth is certainly larger than another one that is smaller by a factor.
-    fn is_beyond(&self, factor: f32, confidence: f32) -> bool {
-        factor.ln() > self.log_error / confidence.atanh()
+    /// Whether a point above the floor, at a range in the plane, is certainly nearer than the floor behind it.
+    pub fn is_obstacle(&self, ray: &Ray, range_m: f32, confidence: f32) -> bool {
+        ray.slope >= 0.0
+            || is_larger(ray.leaves_band_m / range_m, confidence, self.obstacle_log_error)
     }
 
     fn push(&mut self, ray: &Ray, view: &View, confidence: f32, is_drop: bool) {
@@ -147,4 +148,17 @@ impl Ground {
     pub fn seen(&self) -> &[GroundCell] {
         &self.seen
     }
+}
+
+/// Error of the logarithm of a depth, with this probability, if the inverse hyperbolic tangent of its confidence is 1.
+///
+/// The logarithm of a depth is taken to have a logistic error, whose probability of being below `a` is tanh(a / 2s). Confidence
+/// gives its scale s.
+fn log_error(certainty: f32) -> f32 {
+    CONFIDENT_FACTOR.ln() * certainty.atanh()
+}
+
+/// Whether the factor between two depths is certainly more than the error of a depth with this confidence.
+fn is_larger(factor: f32, confidence: f32, log_error: f32) -> bool {
+    factor.ln() > log_error / confidence.atanh()
 }

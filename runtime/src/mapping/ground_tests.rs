@@ -174,18 +174,6 @@ fn floor_that_is_seen_where_a_drop_was_clears_it() {
 
 #[test]
 fn a_depth_marks_a_drop_only_as_far_as_its_confidence_allows() {
-    // On the right half of the image, every depth is too large by one factor.
-    let drops = |factor: f32, confidence: f32| {
-        let camera_pose = mount(&Pose2::IDENTITY, 0.0);
-        let mut depth = depth_of(None, &camera_pose);
-        for row in depth.depth.values_mut().chunks_exact_mut(640) {
-            row[320..].iter_mut().for_each(|depth_m| *depth_m *= factor);
-        }
-        depth.confidence.fill(confidence);
-        let mut grid = OccupancyGrid::new(&wide()).unwrap();
-        observe_depth(&mut grid, &depth, &Pose2::IDENTITY, &camera_pose);
-        occupied(&grid).len()
-    };
     assert_eq!(drops(1.2, 0.8), 0, "a quarter is the error of 80 % of the depths");
     assert_eq!(drops(1.6, 0.8), 0);
     assert!(drops(1.8, 0.8) > 100);
@@ -194,6 +182,20 @@ fn a_depth_marks_a_drop_only_as_far_as_its_confidence_allows() {
     assert!(drops(1.2, 1.0) > 100, "exact depth has no error");
     assert_eq!(drops(1.02, 1.0), 0, "2 cm lower is still the floor");
     assert_eq!(drops(1.6, f32::NAN), 0);
+}
+
+/// The cells of drops where every depth on the right half of the image is too large by one factor.
+fn drops(factor: f32, confidence: f32) -> usize {
+    let camera_pose = mount(&Pose2::IDENTITY, 0.0);
+    let mut depth = depth_of(None, &camera_pose);
+    for row in depth.depth.values_mut().chunks_exact_mut(640) {
+        row[320..].iter_mut().for_each(|depth_m| *depth_m *= factor);
+    }
+    depth.confidence.fill(confidence);
+    let config = MapConfig { drop_certainty: 0.99, ..wide() };
+    let mut grid = OccupancyGrid::new(&config).unwrap();
+    observe_depth(&mut grid, &depth, &Pose2::IDENTITY, &camera_pose);
+    occupied(&grid).len()
 }
 
 #[test]
@@ -217,6 +219,25 @@ fn a_drop_ends_the_free_floor_of_a_camera_that_looks_down() {
     for x in 51..66 {
         assert_ne!(frame.state(Cell::new(x, 0)), CellState::Free, "column {x} is in the shaft");
     }
+}
+
+#[test]
+fn floor_whose_depth_is_too_small_is_an_obstacle_only_if_its_confidence_excludes_the_floor() {
+    assert_eq!(marked_floor(0.85, 0.9), 0, "12 cm above the floor, and the error is 25 %");
+    assert!(marked_floor(0.85, 0.999) > 100);
+    assert!(marked_floor(0.6, 0.9) > 100, "32 cm above the floor");
+    assert_eq!(marked_floor(0.95, 1.0), 0, "4 cm above the floor");
+}
+
+/// Occupied cells after a camera that looks down has seen an empty floor whose depths are too small by a factor.
+fn marked_floor(factor: f32, confidence: f32) -> usize {
+    let pose = mount(&Pose2::IDENTITY, 0.5);
+    let mut depth = depth_of(None, &pose);
+    depth.depth.values_mut().iter_mut().for_each(|depth_m| *depth_m *= factor);
+    depth.confidence.fill(confidence);
+    let mut grid = OccupancyGrid::new(&wide()).unwrap();
+    observe_depth(&mut grid, &depth, &Pose2::IDENTITY, &pose);
+    occupied(&grid).len()
 }
 
 #[test]

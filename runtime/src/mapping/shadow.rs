@@ -73,17 +73,18 @@ fn whole_turn(angle_increment_rad: f64) -> usize {
 fn surface_m(scan: &LaserScan, beam: usize) -> Option<f32> {
     let beams = scan.ranges.len();
     let is_round = beams == whole_turn(scan.geometry.angle_increment_rad);
-    let hit_m = |offset: isize| {
-        let at = beam.checked_add_signed(offset).filter(|at| *at < beams);
-        let at =
-            if is_round { Some((beam + beams).checked_add_signed(offset)? % beams) } else { at };
-        scan.ranges.get(at?)?.hit_m().filter(|range_m| range_m.is_finite() && *range_m > 0.0)
-    };
-    let near_m = [0, -1, 1].into_iter().find_map(hit_m)?;
+    let near_m = [0, -1, 1].into_iter().find_map(|offset| hit_m(scan, beam, offset, is_round))?;
     let half_rad = (WIDTH_M / 2.0).atan2(f64::from(near_m));
     let half =
         (half_rad / scan.geometry.angle_increment_rad).ceil().min(beams as f64 / 2.0) as isize;
-    let hits = (-half..=half).filter_map(hit_m);
+    let hits = (-half..=half).filter_map(|offset| hit_m(scan, beam, offset, is_round));
     let is_whole = hits.clone().count() as f64 >= LEAST_HITS * (2 * half + 1) as f64;
     is_whole.then(|| hits.fold(near_m, f32::max))
+}
+
+fn hit_m(scan: &LaserScan, beam: usize, offset: isize, is_round: bool) -> Option<f32> {
+    let beams = scan.ranges.len();
+    let at = beam.checked_add_signed(offset).filter(|at| *at < beams);
+    let at = if is_round { Some((beam + beams).checked_add_signed(offset)? % beams) } else { at };
+    scan.ranges.get(at?)?.hit_m().filter(|range_m| range_m.is_finite() && *range_m > 0.0)
 }

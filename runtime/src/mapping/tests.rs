@@ -216,36 +216,44 @@ fn a_camera_that_is_tilted_down_observes_low_obstacles_and_free_floor() {
 #[test]
 fn wrong_sizes_invalid_poses_and_vertical_cameras_are_refused() {
     let mut mapper = FrameMapper::new(&small()).unwrap();
-    let mut frame = SingleFrameMap::default();
     let estimate = DepthEstimate::none(640, 192);
     let level = mount(&Pose2::IDENTITY, 0.0);
-    let mut refuse = |estimate: &DepthEstimate, camera: &CameraModel, pose: &Pose3| {
-        mapper.map(estimate, camera, pose, &mut frame).unwrap_err()
-    };
     let half = DepthEstimate::none(320, 192);
     assert!(matches!(
-        refuse(&half, &camera(), &level),
+        refusal(&mut mapper, &half, &camera(), &level),
         MapError::SizeMismatch { depth: (320, 192), .. }
     ));
     let short = DepthEstimate { depth: DepthMap::none(640, 192), confidence: vec![1.0; 7] };
     assert!(matches!(
-        refuse(&short, &camera(), &level),
+        refusal(&mut mapper, &short, &camera(), &level),
         MapError::SizeMismatch { confidence: 7, .. }
     ));
     let mut nan = level;
     nan.translation.vector.x = f64::NAN;
     assert!(matches!(
-        refuse(&estimate, &camera(), &nan),
+        refusal(&mut mapper, &estimate, &camera(), &nan),
         MapError::PoseNotFinite { pose: "t_odom_camera", .. }
     ));
     nan.translation.vector.x = 1e9;
-    assert!(matches!(refuse(&estimate, &camera(), &nan), MapError::PoseOutOfReach { .. }));
+    assert!(matches!(
+        refusal(&mut mapper, &estimate, &camera(), &nan),
+        MapError::PoseOutOfReach { .. }
+    ));
     let down = mount(&Pose2::IDENTITY, core::f64::consts::FRAC_PI_2);
-    assert_eq!(refuse(&estimate, &camera(), &down), MapError::CameraVertical);
+    assert_eq!(refusal(&mut mapper, &estimate, &camera(), &down), MapError::CameraVertical);
     assert_eq!(
-        refuse(&estimate, &CameraModel { fx: 0.0, ..camera() }, &level),
+        refusal(&mut mapper, &estimate, &CameraModel { fx: 0.0, ..camera() }, &level),
         MapError::CameraModel
     );
+}
+
+fn refusal(
+    mapper: &mut FrameMapper,
+    estimate: &DepthEstimate,
+    camera: &CameraModel,
+    pose: &Pose3,
+) -> MapError {
+    mapper.map(estimate, camera, pose, &mut SingleFrameMap::default()).unwrap_err()
 }
 
 proptest! {
@@ -320,12 +328,6 @@ fn a_tall_obstacle_that_was_moved_away_is_cleared() {
 
 #[test]
 fn two_frames_of_a_moved_box_are_inconsistent_where_it_was_and_where_it_is() {
-    let pose = mount(&Pose2::IDENTITY, 0.0);
-    let wall = [[4.0, -9.0, 0.0], [4.2, 9.0, 2.5]];
-    let map_with_box_at = |y: f64| {
-        let solids = [[[1.2, y, 0.0], [1.5, y + 0.3, 1.3]], wall];
-        map(&small(), &exact_depth(&solids, &camera(), &pose), &pose)
-    };
     let before = map_with_box_at(-0.5);
     let now = map_with_box_at(0.3);
     assert!(inconsistencies(&now, &now, 0.03).is_empty());
@@ -339,4 +341,11 @@ fn two_frames_of_a_moved_box_are_inconsistent_where_it_was_and_where_it_is() {
     let mut sides: Vec<f64> = found[..2].iter().map(|group| group.centroid_m[1]).collect();
     sides.sort_by(f64::total_cmp);
     assert!((sides[0] + 0.35).abs() < 0.05 && (sides[1] - 0.45).abs() < 0.05, "{sides:?}");
+}
+
+fn map_with_box_at(y: f64) -> SingleFrameMap {
+    let pose = mount(&Pose2::IDENTITY, 0.0);
+    let wall = [[4.0, -9.0, 0.0], [4.2, 9.0, 2.5]];
+    let solids = [[[1.2, y, 0.0], [1.5, y + 0.3, 1.3]], wall];
+    map(&small(), &exact_depth(&solids, &camera(), &pose), &pose)
 }

@@ -63,9 +63,8 @@ mod tests {
 
     /// The errors of rotation and translation of a camera at `true_mount` that is taken to be at `mount`, when the robot moves.
     fn moved(mount: &Pose3, true_mount: &Pose3, motion: &Pose2) -> Moved {
-        let seen = |mount: &Pose3| (motion.to_pose3() * mount).inverse() * mount;
-        let configured = seen(mount);
-        let truth = seen(true_mount);
+        let configured = seen(mount, motion);
+        let truth = seen(true_mount, motion);
         let rotation_error = (truth.rotation.inverse() * configured.rotation).scaled_axis();
         // In the camera now, to first order: what is left of the translation after the rotation's error.
         let rotation = configured.rotation.to_rotation_matrix().into_inner();
@@ -82,9 +81,13 @@ mod tests {
         }
     }
 
+    fn seen(mount: &Pose3, motion: &Pose2) -> Pose3 {
+        (motion.to_pose3() * mount).inverse() * mount
+    }
+
     #[test]
     fn rotations_and_straight_lines_together_show_the_whole_mount() {
-        let configured = CameraMount::default();
+        let configured = CameraMount::LEVEL;
         let truth = CameraMount { pitch_down_deg: 1.0, yaw_deg: -0.5, roll_deg: 0.7, ..configured };
         let [mount, true_mount] = [configured, truth].map(|mount| mount.t_base_camera());
         let mut sums = Sums::default();
@@ -99,7 +102,7 @@ mod tests {
 
     #[test]
     fn a_straight_line_shows_yaw_and_no_pitch() {
-        let configured = CameraMount::default();
+        let configured = CameraMount::LEVEL;
         let truth = CameraMount { pitch_down_deg: 1.0, yaw_deg: -0.5, ..configured };
         let [mount, true_mount] = [configured, truth].map(|mount| mount.t_base_camera());
         let sums = mount_equations(&moved(&mount, &true_mount, &Pose2::new(0.03, 0.0, 0.0)));
@@ -110,7 +113,7 @@ mod tests {
 
     #[test]
     fn an_arc_says_nothing_of_yaw() {
-        let mount = CameraMount::default().t_base_camera();
+        let mount = CameraMount::LEVEL.t_base_camera();
         let arc = moved(&mount, &mount, &Pose2::new(0.015, 0.0, 0.07));
         let yaw_by_translation = Vector3::new(0.0, 1.0, 0.0);
         let errors = Vector6::new(0.0, 0.0, 0.0, 0.001, 0.0, 0.0);
@@ -123,7 +126,7 @@ mod tests {
 
     #[test]
     fn a_robot_that_stands_says_nothing() {
-        let mount = CameraMount::default().t_base_camera();
+        let mount = CameraMount::LEVEL.t_base_camera();
         let sums = mount_equations(&moved(&mount, &mount, &Pose2::IDENTITY));
         assert!(sums.information.norm() < 1e-9 && sums.pull.norm() < 1e-9);
     }

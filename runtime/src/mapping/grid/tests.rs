@@ -174,25 +174,26 @@ fn a_collision_neither_decays_nor_is_cleared_until_it_expires() {
 
 #[test]
 fn an_unseen_place_is_tried_again_sooner_than_the_place_of_a_collision() {
+    assert_eq!(updates_until_it_is_unknown(false), Some(9));
+    assert_eq!(updates_until_it_is_unknown(true), Some(99));
+}
+
+fn updates_until_it_is_unknown(collides: bool) -> Option<u32> {
     let config = MapConfig { collision_updates: 100, unseen_updates: 10, ..small() };
     let robot = Pose2::new(0.0, 0.015, core::f64::consts::FRAC_PI_2);
     let ahead = Cell::new(0, 3);
-    let updates_until_it_is_unknown = |collides: bool| {
-        let mut grid = OccupancyGrid::new(&config).unwrap();
-        grid.begin_update(&robot).unwrap();
-        if collides {
-            grid.mark_collision(&robot, 0.1).unwrap();
-        }
-        grid.mark_unseen(&robot, 0.1).unwrap();
-        grid.finish_update();
-        assert_eq!(grid.state(ahead), CellState::Occupied);
-        (0..).find(|_| {
-            update(&mut grid, &[]);
-            grid.state(ahead) == CellState::Unknown
-        })
-    };
-    assert_eq!(updates_until_it_is_unknown(false), Some(9));
-    assert_eq!(updates_until_it_is_unknown(true), Some(99));
+    let mut grid = OccupancyGrid::new(&config).unwrap();
+    grid.begin_update(&robot).unwrap();
+    if collides {
+        grid.mark_collision(&robot, 0.1).unwrap();
+    }
+    grid.mark_unseen(&robot, 0.1).unwrap();
+    grid.finish_update();
+    assert_eq!(grid.state(ahead), CellState::Occupied);
+    (0..).find(|_| {
+        update(&mut grid, &[]);
+        grid.state(ahead) == CellState::Unknown
+    })
 }
 
 #[test]
