@@ -299,30 +299,32 @@ fn interference(ticks: &[Tick]) -> (f64, usize) {
     (slow as f64 / ticks.len() as f64, stops.count())
 }
 
-/// The largest [`interference`] of four drives with healthy devices and this scanner.
-fn largest_interference(laser: &LaserModel) -> (f64, usize) {
-    let mut largest = (0.0, 0);
+/// The [`interference`] of four drives of a minute with healthy devices and this scanner: the largest share, and all stops.
+fn interference_of_four_minutes(laser: &LaserModel) -> (f64, usize) {
+    let mut largest = 0.0_f64;
+    let mut all_stops = 0;
     for seed in 1..=4 {
         let mut scenario =
             Scenario::with_laser(PolicyKind::Frontier, &[], seed, laser.clone()).unwrap();
         let (slow, stops) = interference(&scenario.ticks(600).unwrap());
         println!("seed {seed}: slow for {:.1} % of the ticks, {stops} stops", 100.0 * slow);
-        largest = (slow.max(largest.0), stops.max(largest.1));
+        largest = largest.max(slow);
+        all_stops += stops;
     }
-    largest
+    (largest, all_stops)
 }
 
 #[test]
 fn healthy_devices_in_a_home_without_glass_cause_no_stop_and_little_slow_driving() {
     let sees_all = LaserModel { misses_materials: false, ..LaserModel::UTM_30LX };
-    let (slow, stops) = largest_interference(&sees_all);
+    let (slow, stops) = interference_of_four_minutes(&sees_all);
     assert_eq!(stops, 0);
     assert!(slow < 0.05, "slow for {slow} of the ticks");
 }
 
 #[test]
-fn before_glass_and_black_lacquer_the_robot_is_slow_and_stops_at_most_once_in_a_minute() {
-    let (slow, stops) = largest_interference(&LaserModel::UTM_30LX);
-    assert!(stops <= 1, "{stops} stops");
+fn before_glass_and_black_lacquer_the_robot_is_slow_and_stops_at_most_twice_in_four_minutes() {
+    let (slow, stops) = interference_of_four_minutes(&LaserModel::UTM_30LX);
+    assert!(stops <= 2, "{stops} stops");
     assert!(slow < 0.15, "slow for {slow} of the ticks");
 }
