@@ -1,6 +1,6 @@
 use std::sync::LazyLock;
 
-use hal::{Base, Camera, Clock, DriveCommand, ErrorKind, Lidar, Range};
+use hal::{Base, Camera, CameraMount, Clock, DriveCommand, ErrorKind, Lidar, Range};
 use proptest::prelude::*;
 
 use super::*;
@@ -32,6 +32,7 @@ fn exact(start: Pose2) -> RobotOptions {
         camera_latency_s: 0.0,
         floor_tilt_rad: 0.0,
         start: Some(start),
+        t_base_camera: CameraMount::LEVEL.t_base_camera(),
         ..small()
     }
 }
