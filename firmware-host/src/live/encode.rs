@@ -66,14 +66,7 @@ impl Encoder {
         mounts: Mounts,
         items: Receiver<Item>,
     ) -> Result<()> {
-        let mut encoder = Self {
-            hub,
-            config,
-            mounts,
-            time_ns: 0,
-            events: EventLog::default(),
-            buffer: Vec::new(),
-        };
+        let mut encoder = Self::new(hub, config, mounts);
         std::thread::Builder::new().name("live".to_owned()).spawn(move || {
             // The niceness is that of this thread only. Without it the view is as important as the rest.
             let _ = rustix::process::nice(NICENESS);
@@ -82,6 +75,11 @@ impl Encoder {
             }
         })?;
         Ok(())
+    }
+
+    fn new(hub: Arc<Hub>, config: LiveSection, mounts: Mounts) -> Self {
+        let events = EventLog::default();
+        Self { hub, config, mounts, time_ns: 0, events, buffer: Vec::new() }
     }
 
     fn item(&mut self, item: &Item) {
@@ -228,17 +226,7 @@ mod tests {
             t_base_laser: Pose3::identity(),
         };
         let config = LiveSection { image_columns, ..LiveSection::default() };
-        (
-            Encoder {
-                hub,
-                config,
-                mounts,
-                time_ns: 0,
-                events: EventLog::default(),
-                buffer: Vec::new(),
-            },
-            outgoing,
-        )
+        (Encoder::new(hub, config, mounts), outgoing)
     }
 
     fn messages_of(
