@@ -123,6 +123,10 @@ impl Encoder {
         if let Some(areas_m) = &copy.areas_m {
             self.put(Topic::KeepOut, &keep_out_scene::scene(areas_m, time_ns));
         }
+        if self.hub.is_fresh(Topic::Events) {
+            // A client that subscribes while depth is missing is told so, too.
+            self.events = EventLog::default();
+        }
         for message in self.events.messages(&copy.events, time_ns) {
             self.put(Topic::Events, &message);
         }
@@ -214,6 +218,8 @@ mod tests {
     use super::*;
     use hal::{CameraModel, DepthMap, Pose3};
     use live_link::{Frame, FrameReader};
+    use runtime::event::Event;
+    use runtime::perception::NoDepth;
     use runtime::recording::MapView;
 
     fn encoder(image_columns: u32) -> (Encoder, super::super::hub::Outgoing) {
@@ -229,12 +235,8 @@ mod tests {
         (Encoder::new(hub, config, mounts), outgoing)
     }
 
-    fn messages_of(
-        encoder: Encoder,
-        outgoing: &super::super::hub::Outgoing,
-    ) -> Vec<(u16, Vec<u8>)> {
-        // Without the hub, the queue has an end.
-        drop(encoder);
+    /// All messages of a client. The queue ends when the encoder, which holds the hub, is dropped.
+    fn messages_of(outgoing: &super::super::hub::Outgoing) -> Vec<(u16, Vec<u8>)> {
         let mut reader = FrameReader::default();
         let mut read = Vec::new();
         while let Some(bytes) = outgoing.next() {
@@ -266,7 +268,8 @@ mod tests {
             ..TickCopy::default()
         };
         encoder.item(&Item::Tick(Box::new(copy)));
-        let read = messages_of(encoder, &outgoing);
+        drop(encoder);
+        let read = messages_of(&outgoing);
         let topics: Vec<u16> = read.iter().map(|(channel, _)| *channel).collect();
         let expected = [Topic::Now, Topic::Tf, Topic::Pose, Topic::Path, Topic::Map, Topic::Depth]
             .map(Topic::id);
@@ -275,6 +278,29 @@ mod tests {
         assert_eq!(now["tick"], 0);
         let grid = <fox::Grid as foxglove::Decode>::decode(&read[4].1[..]).unwrap();
         assert_eq!((grid.column_count, grid.data.len()), (3, 15));
+    }
+
+    #[test]
+    fn a_client_that_subscribes_while_depth_is_missing_is_told_once() {
+        let (mut encoder, first) = encoder(640);
+        let no_depth = Event::NoDepth { why: NoDepth::TooLittleParallax };
+        let copy =
+            TickCopy { time_ns: 5_000_000_000, events: vec![no_depth], ..TickCopy::default() };
+        encoder.copy(&copy);
+        encoder.copy(&copy);
+        let (client, second) = encoder.hub.join().unwrap();
+        encoder.hub.subscribe(&client, &[Topic::Events.id()]);
+        drop(client);
+        encoder.copy(&copy);
+        encoder.copy(&copy);
+        // The first client is told again when the second one comes.
+        drop(encoder);
+        assert_eq!([&first, &second].map(number_of_events), [2, 1]);
+    }
+
+    fn number_of_events(outgoing: &super::super::hub::Outgoing) -> usize {
+        let messages = messages_of(outgoing);
+        messages.iter().filter(|(channel, _)| *channel == Topic::Events.id()).count()
     }
 
     #[test]
