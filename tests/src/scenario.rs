@@ -7,7 +7,7 @@ use drivers::fault::{
     Fault, FaultTextError, Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar,
     random_faults,
 };
-use hal::{CameraModel, Clock, Pose2, RobotDescription, Twist2};
+use hal::{CameraModel, CameraMount, Clock, Pose2, RobotDescription, Twist2};
 use runtime::exploration::PolicyKind;
 use runtime::recording::RecordedTick;
 use runtime::robot::{Robot, RobotConfig, SAFETY_HZ, Stage, StageTimer};
@@ -63,24 +63,28 @@ impl Scenario {
     /// A text that is not a fault. A built-in home that cannot be opened or a default configuration that is refused is a defect
     /// of the project.
     pub fn new(policy: PolicyKind, faults: &[&str], seed: u64) -> Result<Self, Box<dyn Error>> {
-        Self::with_laser(policy, faults, seed, LaserModel::UTM_30LX)
+        let description = RobotDescription::default();
+        Self::with_sensors(policy, faults, seed, LaserModel::UTM_30LX, description.camera)
     }
 
-    /// As [`new`](Self::new), with another scanner.
+    /// As [`new`](Self::new), with another scanner and another mount of the camera.
     ///
     /// # Errors
     /// As [`new`](Self::new).
-    pub fn with_laser(
+    pub fn with_sensors(
         policy: PolicyKind,
         faults: &[&str],
         seed: u64,
         laser: LaserModel,
+        mount: CameraMount,
     ) -> Result<Self, Box<dyn Error>> {
         let world = World::open("builtin:apartment?seed=1", &OpenOptions::default())?;
-        let description = RobotDescription::default();
+        let description = RobotDescription { camera: mount, ..RobotDescription::default() };
         // A small one, because rendering takes most of the time of a scenario.
         let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
-        let options = RobotOptions { camera, seed, laser, ..RobotOptions::default() };
+        let t_base_camera = mount.t_base_camera();
+        let options =
+            RobotOptions { camera, seed, laser, t_base_camera, ..RobotOptions::default() };
         let robot = Robot::new(RobotConfig::of(&description, camera, policy, seed), None)?;
         let simulated = SimulatedRobot::new(Arc::new(world), options)?;
         let devices = simulated.devices();

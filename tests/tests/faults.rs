@@ -1,7 +1,7 @@
 //! A robot whose devices fail stops when it must, reports the reason, and continues when it can.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
-use hal::{Pose2, Twist2};
+use hal::{CameraMount, Pose2, Twist2};
 use hil::{Scenario, Tick};
 use runtime::event::{Event, FaultReason, PlanRefusal, RefusedInput, SafetyEvent, TripCause};
 use runtime::exploration::PolicyKind;
@@ -257,7 +257,8 @@ fn in_minutes_of_random_faults_nothing_is_touched_and_all_repeats_exactly() {
 
 fn random_faults(seed: u64, ticks: usize) -> Vec<Tick> {
     let sees_all = LaserModel { misses_materials: false, ..LaserModel::UTM_30LX };
-    let scenario = Scenario::with_laser(PolicyKind::Active, &["random"], seed, sees_all);
+    let mount = CameraMount::default();
+    let scenario = Scenario::with_sensors(PolicyKind::Active, &["random"], seed, sees_all, mount);
     scenario.unwrap().ticks(ticks).unwrap()
 }
 
@@ -299,32 +300,42 @@ fn interference(ticks: &[Tick]) -> (f64, usize) {
     (slow as f64 / ticks.len() as f64, stops.count())
 }
 
-/// The [`interference`] of four drives of a minute with healthy devices and this scanner: the largest share, and all stops.
-fn interference_of_four_minutes(laser: &LaserModel) -> (f64, usize) {
-    let mut largest = 0.0_f64;
-    let mut all_stops = 0;
-    for seed in 1..=4 {
+/// The [`interference`] of each of four drives of a minute with healthy devices, this scanner and this mount of the camera.
+fn interference_of_four_minutes(laser: &LaserModel, mount: CameraMount) -> Vec<(f64, usize)> {
+    let drives = (1..=4).map(|seed| {
+        let laser = laser.clone();
         let mut scenario =
-            Scenario::with_laser(PolicyKind::Frontier, &[], seed, laser.clone()).unwrap();
+            Scenario::with_sensors(PolicyKind::Frontier, &[], seed, laser, mount).unwrap();
         let (slow, stops) = interference(&scenario.ticks(600).unwrap());
         println!("seed {seed}: slow for {:.1} % of the ticks, {stops} stops", 100.0 * slow);
-        largest = largest.max(slow);
-        all_stops += stops;
-    }
-    (largest, all_stops)
+        (slow, stops)
+    });
+    drives.collect()
 }
 
 #[test]
 fn healthy_devices_in_a_home_without_glass_cause_no_stop_and_little_slow_driving() {
     let sees_all = LaserModel { misses_materials: false, ..LaserModel::UTM_30LX };
-    let (slow, stops) = interference_of_four_minutes(&sees_all);
-    assert_eq!(stops, 0);
-    assert!(slow < 0.05, "slow for {slow} of the ticks");
+    for (slow, stops) in interference_of_four_minutes(&sees_all, CameraMount::default()) {
+        assert_eq!(stops, 0);
+        assert!(slow < 0.05, "slow for {slow} of the ticks");
+    }
 }
 
 #[test]
-fn before_glass_and_black_lacquer_the_robot_is_slow_and_stops_at_most_twice_in_four_minutes() {
-    let (slow, stops) = interference_of_four_minutes(&LaserModel::UTM_30LX);
+fn before_glass_and_black_lacquer_the_robot_is_slow_and_stops_at_most_once_in_a_minute() {
+    for (slow, stops) in interference_of_four_minutes(&LaserModel::UTM_30LX, CameraMount::LEVEL) {
+        assert!(stops <= 1, "{stops} stops");
+        assert!(slow < 0.15, "slow for {slow} of the ticks");
+    }
+}
+
+/// With this mount the robot takes other paths. One of them leads along a wide glass, where it stops twice within five seconds: only
+/// the part of the glass before which it has stopped is known then.
+#[test]
+fn before_glass_a_robot_whose_camera_looks_down_stops_at_most_twice_in_four_minutes() {
+    let drives = interference_of_four_minutes(&LaserModel::UTM_30LX, CameraMount::default());
+    let stops: usize = drives.iter().map(|(_, stops)| stops).sum();
     assert!(stops <= 2, "{stops} stops");
-    assert!(slow < 0.15, "slow for {slow} of the ticks");
+    assert!(drives.iter().all(|(slow, _)| *slow < 0.15), "{drives:?}");
 }
