@@ -49,12 +49,12 @@ hal::settings! {
         clear_range_m: f32 = 2.0, in 0.1..=20.0, unit "m", source "paper's code";
         /// The camera marks a drop, such as stairs down, where a ray meets the floor's plane up to this distance and continues
         /// below it; 0 marks none. Errors of coarse depth make false drops, too. The default camera sees the floor from 1.25 m on.
-        drop_range_m: f32 = 2.0, in 0.0..=20.0, unit "m", source "as mark_range_m";
+        drop_range_m: f32 = 2.0, in 0.0..=20.0, unit "m", source "the range of other obstacles";
         /// Points that are less than this below the floor, and 8 mm more for every metre of distance, are no drop.
         drop_min_m: f32 = 0.04, in 0.01..=1.0, unit "m", source "thresholds and carpets; a stair is 0.14 m or more";
         /// Probability with which a point must be below the floor by the confidence of its depth.
         drop_certainty: f32 = 0.999, in 0.0..=0.9999,
-            source "on patterned floors 0.99 marked twice as many cells that are floor";
+            source "AWS house, one drive: 15 % of the occupied cells off by 10 cm; with 0.99 52 %";
         /// Clearing stops this fraction of the distance before an obstacle, because depth is noisy, and more so far away.
         clear_margin: f32 = 0.05, in 0.0..=0.9;
         /// Depth with a lower probability of being correct stays out of the map.

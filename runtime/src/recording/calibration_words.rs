@@ -22,36 +22,41 @@ fn by_how_much(what: Watched, by: f64) -> String {
     let size = size(what, by);
     match what {
         Watched::WheelHeading => {
-            let (larger, smaller) = (way(by, "right", "left"), way(by, "left", "right"));
+            let larger = direction(by, "right", "left");
+            let smaller = direction(by, "left", "right");
             format!("the {larger} wheel is larger or the {smaller} one smaller, {size} of yaw")
         }
         Watched::WheelTrack => {
-            format!("the track is {} by {size}", way(by, "narrower", "wider"))
+            format!("the track is {} by {size}", direction(by, "narrower", "wider"))
         }
         Watched::WheelDistance => {
-            format!("both wheels are {} by {size}", way(by, "larger", "smaller"))
+            format!("both wheels are {} by {size}", direction(by, "larger", "smaller"))
         }
         Watched::LidarYaw => {
-            format!("the LiDAR points {size} more to the {}", way(by, "left", "right"))
+            format!("the LiDAR points {size} more to the {}", direction(by, "left", "right"))
         }
         Watched::LidarForward => {
-            format!("the LiDAR is {size} more {}", way(by, "forward", "backward"))
+            format!("the LiDAR is {size} more {}", direction(by, "forward", "backward"))
         }
         Watched::LidarLeft => {
-            format!("the LiDAR is {size} more to the {}", way(by, "left", "right"))
+            format!("the LiDAR is {size} more to the {}", direction(by, "left", "right"))
         }
-        Watched::CameraPitch => format!("the camera points {size} more {}", way(by, "down", "up")),
+        Watched::CameraPitch => {
+            format!("the camera points {size} more {}", direction(by, "down", "up"))
+        }
         Watched::CameraYaw => {
-            format!("the camera points {size} more to the {}", way(by, "left", "right"))
+            format!("the camera points {size} more to the {}", direction(by, "left", "right"))
         }
         Watched::CameraRoll => {
-            format!("the {} side of the camera is {size} lower", way(by, "right", "left"))
+            format!("the {} side of the camera is {size} lower", direction(by, "right", "left"))
         }
-        Watched::CameraLatency => format!("frames come {size} {}", way(by, "later", "earlier")),
+        Watched::CameraLatency => {
+            format!("frames come {size} {}", direction(by, "later", "earlier"))
+        }
     }
 }
 
-fn way(by: f64, more: &'static str, less: &'static str) -> &'static str {
+fn direction(by: f64, more: &'static str, less: &'static str) -> &'static str {
     if by > 0.0 { more } else { less }
 }
 
