@@ -429,10 +429,13 @@ mod tests {
 
     #[test]
     fn a_watcher_sees_the_service_that_stops_the_robot_only() {
-        assert_eq!((services_for(Role::Watch), services_for(Role::Steer)), (1, Order::ALL.len()));
+        assert_eq!(
+            (count_of_services(Role::Watch), count_of_services(Role::Steer)),
+            (1, Order::ALL.len())
+        );
     }
 
-    fn services_for(role: Role) -> usize {
+    fn count_of_services(role: Role) -> usize {
         let value: Value = serde_json::from_str(&advertise_services(role)).unwrap();
         value["services"].as_array().unwrap().len()
     }

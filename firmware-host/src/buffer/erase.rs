@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, bail, ensure};
 use segment_store::{Catalogue, Digest, Hasher, State};
 
+use super::cannot_read;
 use crate::output;
 
 /// A line of the receipt.
@@ -73,19 +74,14 @@ fn receipt(dir: &Path) -> Result<Vec<Line>> {
     Ok(lines)
 }
 
-fn cannot_read(dir: &Path) -> String {
-    format!("cannot read {}", dir.display())
-}
-
 fn line(path: PathBuf) -> Result<Line> {
-    let kind =
-        fs::symlink_metadata(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let kind = fs::symlink_metadata(&path).with_context(|| cannot_read(&path))?;
     // A run makes neither folders nor links, so this is not the run's.
     ensure!(kind.is_file(), "{} is not a file of a run; move it elsewhere first", path.display());
     let mut hasher = Hasher::default();
     File::open(&path)
         .and_then(|mut file| hasher.update_from(&mut file, u64::MAX))
-        .with_context(|| format!("cannot read {}", path.display()))?;
+        .with_context(|| cannot_read(&path))?;
     Ok(Line { bytes: hasher.bytes(), digest: hasher.digest(), path })
 }
 

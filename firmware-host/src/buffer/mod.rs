@@ -138,8 +138,9 @@ fn recover_all(path: &Path, out: &Path) -> Result<ExitCode> {
 
 /// Whether the segment was damaged and has been recovered.
 fn recover_one(root: &Root, entry: &Entry, out: &Path) -> Result<bool> {
-    let file = root.open_file(&entry.name).with_context(|| cannot_read(root, entry))?;
-    let verified = segment_store::verify(&file).with_context(|| cannot_read(root, entry))?;
+    let path = root.path().join(entry.name.as_str());
+    let file = root.open_file(&entry.name).with_context(|| cannot_read(&path))?;
+    let verified = segment_store::verify(&file).with_context(|| cannot_read(&path))?;
     if verified.finding == Finding::Whole {
         return Ok(false);
     }
@@ -150,7 +151,7 @@ fn recover_one(root: &Root, entry: &Entry, out: &Path) -> Result<bool> {
     let to = out.join(entry.name.as_str());
     std::fs::create_dir_all(to.parent().unwrap_or(out))
         .with_context(|| format!("cannot create {}", out.display()))?;
-    let done = recover_file(&file, &root.path().join(entry.name.as_str()), &to)?;
+    let done = recover_file(&file, &path, &to)?;
     let mut lost = String::new();
     if done.bad_chunks > 0 {
         lost += &format!(", {} corrupt chunks dropped", done.bad_chunks);
@@ -162,8 +163,8 @@ fn recover_one(root: &Root, entry: &Entry, out: &Path) -> Result<bool> {
     Ok(true)
 }
 
-fn cannot_read(root: &Root, entry: &Entry) -> String {
-    format!("cannot read {}", root.path().join(entry.name.as_str()).display())
+fn cannot_read(path: &Path) -> String {
+    format!("cannot read {}", path.display())
 }
 
 /// Exports what can be read of a run. The exit code is 1 if that is not all.

@@ -43,7 +43,8 @@ impl PullLog {
         Self {
             path: dir.join(FILE),
             who: variable("SUDO_USER")
-                .unwrap_or_else(|| variable("USER").unwrap_or_else(|| "unknown".to_owned())),
+                .or_else(|| variable("USER"))
+                .unwrap_or_else(|| "unknown".to_owned()),
             from: client.split(' ').next().unwrap_or_default().to_owned(),
         }
     }

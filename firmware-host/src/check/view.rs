@@ -112,14 +112,14 @@ mod tests {
 
     #[test]
     fn marks_of_stairs_that_end_before_the_nearest_floor_are_none() {
-        assert!(!warns_of_no_marks(&Config::default()));
+        assert!(!warns_that_no_stairs_are_marked(&Config::default()));
         let mut config = level();
-        assert!(!warns_of_no_marks(&config));
+        assert!(!warns_that_no_stairs_are_marked(&config));
         config.map.drop_range_m = 2.0;
-        assert!(warns_of_no_marks(&config));
+        assert!(warns_that_no_stairs_are_marked(&config));
     }
 
-    fn warns_of_no_marks(config: &Config) -> bool {
+    fn warns_that_no_stairs_are_marked(config: &Config) -> bool {
         let text = View::new(config).sentences().join("\n");
         text.contains("no stairs down are marked in the map")
     }

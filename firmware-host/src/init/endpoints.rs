@@ -39,11 +39,11 @@ impl Endpoints {
             return Self::from_file(Path::new(text));
         }
         let words: Vec<&str> = text.split_whitespace().collect();
-        let [version, enable, timeout] = words[..] else { return Err(wanted(text)) };
+        let [version, enable, timeout] = words[..] else { return Err(not_allowed(text)) };
         Ok(Self {
-            firmware: version_of(version).ok_or_else(|| wanted(text))?,
-            enable_watchdog: enable.parse().map_err(|_| wanted(text))?,
-            watchdog_timeout: timeout.parse().map_err(|_| wanted(text))?,
+            firmware: version_of(version).ok_or_else(|| not_allowed(text))?,
+            enable_watchdog: enable.parse().map_err(|_| not_allowed(text))?,
+            watchdog_timeout: timeout.parse().map_err(|_| not_allowed(text))?,
         })
     }
 
@@ -64,7 +64,7 @@ impl Endpoints {
     }
 }
 
-fn wanted(text: &str) -> String {
+fn not_allowed(text: &str) -> String {
     format!("`{text}` is not allowed: {WANTED}")
 }
 

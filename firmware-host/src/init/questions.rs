@@ -103,7 +103,7 @@ pub const QUESTIONS: &[Question] = &[
     Question {
         key: "camera_pitch_down_deg",
         words: "How far does it look down?",
-        help: "0 is level. 16 shows the floor from 1.25 m on, and stairs with it.",
+        help: "0 is level. At 16 the camera sees the floor, and stairs down, from 1.25 m on.",
         asked: Asked::Numbers(1),
         only_with: None,
         sets: &[measured("camera.pitch_down_deg", "Optical axis below the horizon, degrees.")],
@@ -399,14 +399,12 @@ const HOKUYO: u16 = 0x15d1;
 
 /// A port that can be opened, those with Hokuyo's own USB identity first.
 fn likely_port(found: &Found) -> Option<usize> {
-    usable_port(found, true).or_else(|| usable_port(found, false))
-}
-
-fn usable_port(found: &Found, wants_hokuyo: bool) -> Option<usize> {
-    found.ports.iter().position(|port| {
+    let usable = found.ports.iter().enumerate().filter(|(_, port)| port.problem.is_none());
+    let likely = usable.min_by_key(|(_, port)| {
         let is_hokuyo = port.usb.is_some_and(|(vendor, _)| vendor == HOKUYO);
-        port.problem.is_none() && is_hokuyo == wants_hokuyo
-    })
+        !is_hokuyo
+    });
+    likely.map(|(index, _)| index)
 }
 
 /// The vendors of the USB serial adapters that come with an RPLIDAR, LD06 or LD19: Silicon Labs and WCH (usb.ids).

@@ -458,13 +458,16 @@ mod tests {
         let real = Found::default();
         let simulated = Found { simulated: Some("/tmp/robot".into()), ..Found::default() };
         let before: toml::Table = "[run]\ncommissioning = \"by_hand\"".parse().unwrap();
-        assert_eq!(commissioning(&real, None), Commissioning::Measured);
-        assert_eq!(commissioning(&real, Some(&toml::Table::new())), Commissioning::Measured);
-        assert_eq!(commissioning(&real, Some(&before)), Commissioning::ByHand);
-        assert_eq!(commissioning(&simulated, None), Commissioning::Unchecked);
+        assert_eq!(written_commissioning(&real, None), Commissioning::Measured);
+        assert_eq!(
+            written_commissioning(&real, Some(&toml::Table::new())),
+            Commissioning::Measured
+        );
+        assert_eq!(written_commissioning(&real, Some(&before)), Commissioning::ByHand);
+        assert_eq!(written_commissioning(&simulated, None), Commissioning::Unchecked);
     }
 
-    fn commissioning(found: &Found, before: Option<&toml::Table>) -> Commissioning {
+    fn written_commissioning(found: &Found, before: Option<&toml::Table>) -> Commissioning {
         let answers = defaults_with(&[], found);
         parsed(&text(&answers, found, &Correction::default(), before)).run.commissioning
     }

@@ -121,23 +121,23 @@ fn ask(dialogue: &mut Dialogue<'_>, side: Side) -> Result<Seen> {
 impl Seen {
     fn parse(text: &str) -> Result<Self, String> {
         let words: Vec<&str> = text.split_whitespace().collect();
-        let [wheel, way, degrees] = words[..] else { return Err(wanted(text)) };
+        let [wheel, way, degrees] = words[..] else { return Err(not_allowed(text)) };
         let wheel = match wheel {
             "left" | "l" => Side::Left,
             "right" | "r" => Side::Right,
-            _ => return Err(wanted(text)),
+            _ => return Err(not_allowed(text)),
         };
         let is_forward = match way {
             "forward" | "f" => true,
             "back" | "b" => false,
-            _ => return Err(wanted(text)),
+            _ => return Err(not_allowed(text)),
         };
         let degrees = degrees.parse().ok().filter(|degrees| (1.0..=3600.0).contains(degrees));
-        Ok(Self { wheel, is_forward, degrees: degrees.ok_or_else(|| wanted(text))? })
+        Ok(Self { wheel, is_forward, degrees: degrees.ok_or_else(|| not_allowed(text))? })
     }
 }
 
-fn wanted(text: &str) -> String {
+fn not_allowed(text: &str) -> String {
     format!(
         "`{text}` is not left or right, forward or back, and degrees from 1 to 3600, such as `left back 90`"
     )

@@ -51,7 +51,7 @@ impl Hand {
 
 #[cfg(test)]
 mod tests {
-    use super::super::rate::tests::after_ms;
+    use super::super::tests::after_ms;
     use super::*;
 
     #[test]

@@ -65,12 +65,9 @@ impl Bucket {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
+    use super::super::tests::after_ms;
     use super::*;
-
-    pub(in crate::live) fn after_ms(began: Instant, ms: u64) -> Instant {
-        began + Duration::from_millis(ms)
-    }
 
     #[test]
     fn a_pulse_is_as_frequent_as_its_rate_and_no_burst_follows_a_pause() {

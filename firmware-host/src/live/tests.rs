@@ -19,6 +19,10 @@ use super::rate::pause;
 use super::socket::Server;
 use crate::control_panel::{ControlPanel, PanelReader};
 
+pub(super) fn after_ms(began: Instant, ms: u64) -> Instant {
+    began + Duration::from_millis(ms)
+}
+
 const CANNOT: Abilities =
     Abilities { keeps_map: false, plans_paths: false, keeps_out: false, drawn: 0 };
 

@@ -34,7 +34,7 @@ impl Watchers {
 
 #[cfg(test)]
 mod tests {
-    use super::super::rate::tests::after_ms;
+    use super::super::tests::after_ms;
     use super::*;
 
     #[test]

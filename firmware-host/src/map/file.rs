@@ -28,8 +28,6 @@ pub const MAP_FILE_VERSION: u32 = 1;
 
 const DIGEST_BYTES: usize = 32;
 
-const TRUNCATED: &str = "it is truncated";
-
 /// Largest map state: a grid of 4096 x 4096 cells that is being recomposed has 185 MiB, 4,096 submaps have 40 MiB.
 const MOST_STATE_BYTES: u64 = 512 << 20;
 
@@ -141,20 +139,19 @@ impl MapFile {
         let Some(rest) = bytes.strip_prefix(&MAGIC) else {
             return Err(MapFileError::NotAMap { path: path.to_owned() });
         };
-        let (version, rest) = rest.split_first_chunk().ok_or_else(|| damaged(path, TRUNCATED))?;
+        let (version, rest) = rest.split_first_chunk().ok_or_else(|| truncated(path))?;
         let found = u32::from_le_bytes(*version);
         if found != MAP_FILE_VERSION {
             return Err(MapFileError::Version { path: path.to_owned(), found });
         }
         let (digest, content) =
-            rest.split_first_chunk::<DIGEST_BYTES>().ok_or_else(|| damaged(path, TRUNCATED))?;
+            rest.split_first_chunk::<DIGEST_BYTES>().ok_or_else(|| truncated(path))?;
         if blake3::hash(content) != *digest {
             return Err(damaged(path, "its digest is not that of its content"));
         }
-        let (length, rest) = content.split_first_chunk().ok_or_else(|| damaged(path, TRUNCATED))?;
+        let (length, rest) = content.split_first_chunk().ok_or_else(|| truncated(path))?;
         let length = u32::from_le_bytes(*length) as usize;
-        let (about, packed) =
-            rest.split_at_checked(length).ok_or_else(|| damaged(path, TRUNCATED))?;
+        let (about, packed) = rest.split_at_checked(length).ok_or_else(|| truncated(path))?;
         let about = serde_json::from_slice(about)
             .map_err(|_| damaged(path, "its description is not that of a map"))?;
         let mut state = Vec::new();
@@ -166,6 +163,10 @@ impl MapFile {
 
 fn damaged(path: &Path, what: &'static str) -> MapFileError {
     MapFileError::Damaged { path: path.to_owned(), what }
+}
+
+fn truncated(path: &Path) -> MapFileError {
+    damaged(path, "it is truncated")
 }
 
 #[cfg(test)]

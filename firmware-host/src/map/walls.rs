@@ -181,10 +181,11 @@ fn simplified(ring: &[Corner]) -> Vec<Corner> {
 /// Appends the corners of a line that stay, without its first.
 fn keep_corners(line: &[Corner], kept: &mut Vec<Corner>) {
     let (Some(first), Some(last)) = (line.first(), line.last()) else { return };
-    let way = difference(*last, *first);
-    let farthest = (1..line.len().saturating_sub(1)).max_by_key(|at| off(line[*at], *first, way));
-    let length2 = way[0] * way[0] + way[1] * way[1];
-    match farthest.filter(|at| off(line[*at], *first, way).pow(2) >= length2) {
+    let chord = difference(*last, *first);
+    let farthest = (1..line.len().saturating_sub(1))
+        .max_by_key(|at| scaled_distance(line[*at], *first, chord));
+    let length2 = chord[0] * chord[0] + chord[1] * chord[1];
+    match farthest.filter(|at| scaled_distance(line[*at], *first, chord).pow(2) >= length2) {
         Some(at) => {
             keep_corners(&line[..=at], kept);
             keep_corners(&line[at..], kept);
@@ -193,10 +194,10 @@ fn keep_corners(line: &[Corner], kept: &mut Vec<Corner>) {
     }
 }
 
-/// The distance of a corner from the line through `first` along `way`, times the length of `way`.
-fn off(corner: Corner, first: Corner, way: Corner) -> i64 {
+/// The distance of a corner from the line through `first` along `chord`, times the length of `chord`.
+fn scaled_distance(corner: Corner, first: Corner, chord: Corner) -> i64 {
     let [x, y] = difference(corner, first);
-    (x * way[1] - y * way[0]).abs()
+    (x * chord[1] - y * chord[0]).abs()
 }
 
 /// Leaves out the corners at which a ring goes straight on.

@@ -114,10 +114,10 @@ fn text_of(node: Node<'_, '_>, attribute: &str) -> Result<String> {
 
 fn joint(node: Node<'_, '_>) -> Result<Joint> {
     let name = text_of(node, "name")?;
-    joint_named(&name, node).with_context(|| format!("joint `{name}`"))
+    read_joint(node, &name).with_context(|| format!("joint `{name}`"))
 }
 
-fn joint_named(name: &str, node: Node<'_, '_>) -> Result<Joint> {
+fn read_joint(node: Node<'_, '_>, name: &str) -> Result<Joint> {
     Ok(Joint {
         parent: link_of(node, "parent")?,
         child: link_of(node, "child")?,

@@ -163,7 +163,8 @@ fn the_same_run_gives_the_same_files() {
     let b = tempfile::tempdir().unwrap();
     record(RecorderOptions::simulation(a.path()), 40);
     record(RecorderOptions::simulation(b.path()), 40);
-    let [one, other] = [a, b].map(|dir| std::fs::read(dir.path().join(segment_name(0))).unwrap());
+    let one = std::fs::read(a.path().join(segment_name(0))).unwrap();
+    let other = std::fs::read(b.path().join(segment_name(0))).unwrap();
     assert!(one == other);
 }
 

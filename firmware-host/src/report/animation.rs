@@ -340,7 +340,7 @@ mod tests {
         assert_eq!(widths_left_of(1), [1]);
     }
 
-    /// The widths of the images that are left of so many, each one pixel wider than the one before.
+    /// The widths of the images that remain of `count` images, which are 1, 2, 3 and more pixels wide.
     fn widths_left_of(count: u32) -> Vec<u32> {
         let images = (1..=count).map(|width| Canvas::new(width, 1, PAGE)).collect();
         every_second(images).iter().map(|image| image.size().0).collect()

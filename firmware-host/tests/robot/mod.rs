@@ -16,7 +16,8 @@ use firmware_host::model::{State, Store};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// The camera is level: the models that these tests judge become blind around the middle row, which is its horizon.
+/// The camera is level: the models that these tests judge become blind around the middle row of the image, where a level camera has
+/// the horizon.
 pub const CONFIG: &str = "\
 [camera]\nwidth = 160\nheight = 64\npitch_down_deg = 0.0\n\
 [map]\ndrop_range_m = 4.0\ndrop_certainty = 0.99\n\

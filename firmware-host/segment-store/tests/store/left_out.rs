@@ -199,9 +199,8 @@ fn of_two_exports_into_one_output_one_succeeds_and_is_complete() {
         let to_mcap = dir.path().join(format!("run{round}.mcap"));
         let mut results = Vec::new();
         std::thread::scope(|scope| {
-            let started = [(); 2].map(|()| {
-                scope.spawn(|| (tum(&segments, &to).map(drop), mcap(&segments, &to_mcap).map(drop)))
-            });
+            let export = || (tum(&segments, &to).map(drop), mcap(&segments, &to_mcap).map(drop));
+            let started = [scope.spawn(export), scope.spawn(export)];
             results.extend(started.map(|thread| thread.join().unwrap()));
         });
         let (folders, files): (Vec<_>, Vec<_>) = results.into_iter().unzip();
