@@ -63,8 +63,7 @@ impl Scenario {
     /// A text that is not a fault. A built-in home that cannot be opened or a default configuration that is refused is a defect
     /// of the project.
     pub fn new(policy: PolicyKind, faults: &[&str], seed: u64) -> Result<Self, Box<dyn Error>> {
-        let description = RobotDescription::default();
-        Self::with_sensors(policy, faults, seed, LaserModel::UTM_30LX, description.camera)
+        Self::with_sensors(policy, faults, seed, LaserModel::UTM_30LX, CameraMount::default())
     }
 
     /// As [`new`](Self::new), with another scanner and another mount of the camera.

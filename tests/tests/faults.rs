@@ -243,19 +243,20 @@ fn a_loop_that_is_woken_late_stops_the_robot_and_time_never_goes_back() {
 fn in_minutes_of_random_faults_nothing_is_touched_and_all_repeats_exactly() {
     let mut touched = Vec::new();
     for seed in 1..=6 {
-        let first = random_faults(seed, 600);
+        let first = drive_with_random_faults(seed, 600);
         if first.iter().any(|tick| tick.contact) {
             touched.push(seed);
         }
         let moved = path_m(&first[300..]) + turned_rad(&first[300..]);
         assert!(moved > 1.0, "seed {seed}: it moved {moved} m and rad in half a minute");
-        let second = random_faults(seed, 100);
+        let second = drive_with_random_faults(seed, 100);
         assert!(first.iter().zip(&second).all(|(a, b)| a.decision == b.decision), "seed {seed}");
     }
     assert!(touched.is_empty(), "touches with the seeds {touched:?}");
 }
 
-fn random_faults(seed: u64, ticks: usize) -> Vec<Tick> {
+/// A drive with random faults. The scanner sees glass and lacquer.
+fn drive_with_random_faults(seed: u64, ticks: usize) -> Vec<Tick> {
     let sees_all = LaserModel { misses_materials: false, ..LaserModel::UTM_30LX };
     let mount = CameraMount::default();
     let scenario = Scenario::with_sensors(PolicyKind::Active, &["random"], seed, sees_all, mount);
@@ -302,15 +303,16 @@ fn interference(ticks: &[Tick]) -> (f64, usize) {
 
 /// The [`interference`] of each of four drives of a minute with healthy devices, this scanner and this mount of the camera.
 fn interference_of_four_minutes(laser: &LaserModel, mount: CameraMount) -> Vec<(f64, usize)> {
-    let drives = (1..=4).map(|seed| {
-        let laser = laser.clone();
-        let mut scenario =
-            Scenario::with_sensors(PolicyKind::Frontier, &[], seed, laser, mount).unwrap();
-        let (slow, stops) = interference(&scenario.ticks(600).unwrap());
-        println!("seed {seed}: slow for {:.1} % of the ticks, {stops} stops", 100.0 * slow);
-        (slow, stops)
-    });
-    drives.collect()
+    (1..=4)
+        .map(|seed| {
+            let laser = laser.clone();
+            let mut scenario =
+                Scenario::with_sensors(PolicyKind::Frontier, &[], seed, laser, mount).unwrap();
+            let (slow, stops) = interference(&scenario.ticks(600).unwrap());
+            println!("seed {seed}: slow for {:.1} % of the ticks, {stops} stops", 100.0 * slow);
+            (slow, stops)
+        })
+        .collect()
 }
 
 #[test]
@@ -336,6 +338,7 @@ fn before_glass_and_black_lacquer_the_robot_is_slow_and_stops_at_most_once_in_a_
 fn before_glass_a_robot_whose_camera_looks_down_stops_at_most_twice_in_four_minutes() {
     let drives = interference_of_four_minutes(&LaserModel::UTM_30LX, CameraMount::default());
     let stops: usize = drives.iter().map(|(_, stops)| stops).sum();
+    assert!(drives.iter().filter(|(_, stops)| *stops > 1).count() <= 1, "{drives:?}");
     assert!(stops <= 2, "{stops} stops");
     assert!(drives.iter().all(|(slow, _)| *slow < 0.15), "{drives:?}");
 }

@@ -38,16 +38,6 @@ fn bench_with(
     Bench::new(device, lidar, monitor, folder)
 }
 
-/// Counts five good scans in a row before it returns one.
-fn counting_bench(source: &Counting) -> HokuyoBench {
-    bench_with(
-        Model::Utm30lx,
-        Box::new(source.clone()),
-        |config| HokuyoConfig { good_scans: 5, ..config },
-        |_| {},
-    )
-}
-
 /// All ranges of a scan are equal and count the scans: 1001 mm for the first.
 #[derive(Clone, Default)]
 struct Counting {
@@ -60,6 +50,16 @@ impl ScanSource for Counting {
         self.begun_ns.lock().unwrap().push(time_ns);
         out.fill(1001 + self.scans.fetch_add(1, Ordering::SeqCst));
     }
+}
+
+/// A bench whose driver returns a scan only after five good ones in a row.
+fn counting_bench(source: &Counting) -> HokuyoBench {
+    bench_with(
+        Model::Utm30lx,
+        Box::new(source.clone()),
+        |config| HokuyoConfig { good_scans: 5, ..config },
+        |_| {},
+    )
 }
 
 fn count_of(scan: &LaserScan) -> u32 {
@@ -199,15 +199,16 @@ fn after_a_silence_or_a_cover_the_good_scans_in_a_row_are_counted_again() {
     bench.until_error(ErrorKind::Timeout);
     let before = source.scans.load(Ordering::SeqCst);
     bench.device.set_wire(WireFaults::default());
-    counts_again(before, &mut bench);
+    assert_counted_again(&mut bench, before);
     bench.device.set_health(Health::Blind);
     bench.until_error(ErrorKind::Fault);
     let before = source.scans.load(Ordering::SeqCst);
     bench.device.set_health(Health::Well);
-    counts_again(before, &mut bench);
+    assert_counted_again(&mut bench, before);
 }
 
-fn counts_again(before: u32, bench: &mut HokuyoBench) {
+/// Asserts that the next returned scan is at least the fifth after the first `before` scans.
+fn assert_counted_again(bench: &mut HokuyoBench, before: u32) {
     bench.until_scan();
     let first = count_of(&bench.scan);
     assert!(first >= before + 5, "scan {first} after {before}");

@@ -40,9 +40,9 @@ pub fn all(explorations: &[Exploration]) -> Result<Vec<Value>> {
     })
 }
 
-/// A number of a summary; NaN if it is absent.
-pub fn figure(summary: &Value, path: &str) -> f64 {
-    summary.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN)
+/// The number at a JSON pointer such as `/map_error_m/p90`; NaN if there is none.
+pub fn figure(value: &Value, pointer: &str) -> f64 {
+    value.pointer(pointer).and_then(Value::as_f64).unwrap_or(f64::NAN)
 }
 
 /// The results of `work` on all items, in their order. `work` also gets the number of items that are done, with this one.

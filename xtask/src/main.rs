@@ -127,7 +127,7 @@ enum Chore {
         #[arg(long)]
         update: bool,
     },
-    /// Write the tables of README and docs from docs/data: after a change by hand, or of a table that others quote.
+    /// Write the tables of README and docs again after a file in docs/data was changed by hand. Chores with --update do it themselves.
     Tables,
     /// Explore homes with the errors of real odometry (also with the default network), with wheels alone and without errors, and
     /// print a table. Takes an hour on two cores.

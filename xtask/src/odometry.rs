@@ -111,8 +111,9 @@ fn name(file: &str) -> String {
 fn results(summary: &Value) -> [String; 8] {
     // The depth that the map uses.
     let depth = summary["depth_source"].as_str().unwrap_or("coarse");
-    let [all, confident, right] = ["all/delta1_unscaled", "confident/delta1_unscaled", "all/right"]
-        .map(|name| figure(summary, &format!("/accuracy/{depth}/{name}")));
+    let all = figure(summary, &format!("/accuracy/{depth}/all/delta1_unscaled"));
+    let confident = figure(summary, &format!("/accuracy/{depth}/confident/delta1_unscaled"));
+    let right = figure(summary, &format!("/accuracy/{depth}/all/right"));
     [
         format!("{all:.3} / {confident:.3}"),
         format!("{right:.3}"),

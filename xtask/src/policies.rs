@@ -69,8 +69,8 @@ fn means(summaries: &[Value]) -> Table {
         let collisions: f64 = figures(&summaries, "/collisions").iter().sum();
         table.push(vec![
             policy.to_owned(),
-            percent(&figures(&summaries, "/coverage")),
-            percent(&figures(&summaries, "/coverage_true")),
+            mean_percent(&figures(&summaries, "/coverage")),
+            mean_percent(&figures(&summaries, "/coverage_true")),
             format!("{collisions:.0} in {} runs", summaries.len()),
         ]);
     }
@@ -81,7 +81,8 @@ fn figures(summaries: &[&Value], path: &str) -> Vec<f64> {
     summaries.iter().map(|summary| figure(summary, path)).collect()
 }
 
-fn percent(shares: &[f64]) -> String {
+/// The mean and half of its 95 % interval, in percent.
+fn mean_percent(shares: &[f64]) -> String {
     let (mean, half) = interval(shares);
     format!("{:.0} % +- {:.0}", 100.0 * mean, 100.0 * half)
 }

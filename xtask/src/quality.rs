@@ -159,7 +159,7 @@ fn check_floors(figures: &[Value]) -> Result<()> {
             .map(|(key, floor)| (key, floor, f64::INFINITY))
             .chain(CEILINGS.map(|(key, ceiling)| (key, 0.0, ceiling)))
         {
-            let value = home[key].as_f64().unwrap_or(f64::NAN);
+            let value = figure(home, &format!("/{key}"));
             // NaN is neither.
             ensure!(value >= least, "{scene}: {key} is {value}, and its floor is {least}");
             ensure!(value <= most, "{scene}: {key} is {value}, and its ceiling is {most}");

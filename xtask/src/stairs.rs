@@ -9,10 +9,10 @@ use crate::tables::{self, Table};
 
 /// The homes, each with the number of its seeds.
 const HOMES: [(&str, u64); 3] = [("apartment", 4), ("house", 3), ("office", 3)];
-/// The camera's mount, the name of its folders, and its configuration.
+/// The mount as the table names it, the last part of the names of its runs' folders, and its configuration.
 const MOUNTS: [(&str, &str, &str); 2] = [
     ("16 degrees down (default)", "default", ""),
-    ("level", "level", include_str!("../../firmware-host/presets/level-camera.toml")),
+    ("level", "level-preset", include_str!("../../firmware-host/presets/level-camera.toml")),
 ];
 const COLUMNS: [&str; 8] = [
     "home",

@@ -52,14 +52,7 @@ impl Table {
     pub fn printed(output: &str) -> Result<Self> {
         let mut lines = output.lines().filter(|line| line.starts_with('|'));
         let columns = cells(lines.next().context("the program printed no table")?);
-        let rows: Vec<Vec<String>> = lines.skip(1).map(cells).collect();
-        for row in &rows {
-            ensure!(
-                row.len() == columns.len(),
-                "the row {row:?} does not fit the head {columns:?}"
-            );
-        }
-        Ok(Self { columns, rows })
+        Self { columns, rows: lines.skip(1).map(cells).collect() }.checked()
     }
 
     /// The table in Markdown.
@@ -75,10 +68,21 @@ impl Table {
     fn from_json(value: &Value) -> Result<Self> {
         let columns = texts(&value["columns"])?;
         let rows = value["rows"].as_array().context("a table without rows")?;
-        Ok(Self { columns, rows: rows.iter().map(texts).collect::<Result<_>>()? })
+        Self { columns, rows: rows.iter().map(texts).collect::<Result<_>>()? }.checked()
     }
 
-    /// The same table, with the cells that its cells quote.
+    fn checked(self) -> Result<Self> {
+        let columns = &self.columns;
+        for row in &self.rows {
+            ensure!(
+                row.len() == columns.len(),
+                "the row {row:?} does not fit the head {columns:?}"
+            );
+        }
+        Ok(self)
+    }
+
+    /// The same table, with the quotations in its cells replaced by what they quote.
     fn with_quotations(mut self) -> Result<Self> {
         for cell in self.rows.iter_mut().flatten() {
             *cell = quotation::resolve(cell)?;

@@ -24,11 +24,11 @@ pub fn through(plan: &FloorPlan, start: Pose2) -> Vec<Pose2> {
     let Some(mut here) = nearest(&nodes, &start) else { return poses };
     let mut open = nodes.clone();
     loop {
-        open.retain(|node| distance_m(*node, here) > VISITED_M);
+        open.retain(|node| distance_m(*node, place(here)) > VISITED_M);
         let Some(path) = path_to_nearest(&nodes, here, &open) else { return poses };
         for node in path {
             drive(&mut poses, place(node));
-            open.retain(|other| distance_m(*other, node) > VISITED_M);
+            open.retain(|other| distance_m(*other, place(node)) > VISITED_M);
             here = node;
         }
     }
@@ -51,18 +51,14 @@ fn place((x, y): Node) -> [f64; 2] {
     [f64::from(x) * NODE_M, f64::from(y) * NODE_M]
 }
 
-fn distance_m(a: Node, b: Node) -> f64 {
-    let [[ax, ay], [bx, by]] = [place(a), place(b)];
-    (ax - bx).hypot(ay - by)
+fn distance_m(node: Node, to: [f64; 2]) -> f64 {
+    let [x_m, y_m] = place(node);
+    (x_m - to[0]).hypot(y_m - to[1])
 }
 
 fn nearest(nodes: &BTreeSet<Node>, pose: &Pose2) -> Option<Node> {
-    nodes.iter().copied().min_by(|a, b| off_m(*a, pose).total_cmp(&off_m(*b, pose)))
-}
-
-fn off_m(node: Node, pose: &Pose2) -> f64 {
-    let [x_m, y_m] = place(node);
-    (x_m - pose.x_m).hypot(y_m - pose.y_m)
+    let here = [pose.x_m, pose.y_m];
+    nodes.iter().copied().min_by(|a, b| distance_m(*a, here).total_cmp(&distance_m(*b, here)))
 }
 
 /// The shortest path to the nearest open node, without its beginning.

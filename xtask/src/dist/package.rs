@@ -106,11 +106,12 @@ fn manual(arch: Arch, root: &Path) -> Result<()> {
 }
 
 fn copy(from: &Path, to: &Path, mode: u32) -> Result<()> {
-    copy_into_new_folder(from, to, mode)
+    copy_with_folder(from, to, mode)
         .with_context(|| format!("copying {} to {}", from.display(), to.display()))
 }
 
-fn copy_into_new_folder(from: &Path, to: &Path, mode: u32) -> io::Result<()> {
+/// Copies a file, and makes its folder if there is none.
+fn copy_with_folder(from: &Path, to: &Path, mode: u32) -> io::Result<()> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder)?;
     }

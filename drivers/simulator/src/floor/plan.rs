@@ -221,7 +221,8 @@ impl FloorPlan {
     pub fn start_pose(&self, seed: u64) -> Pose2 {
         let mut cells = self.home_cells().to_vec();
         cells.sort_by(|a, b| {
-            let [clearance_a, clearance_b] = [a, b].map(|cell| self.clearance_m[*cell as usize]);
+            let clearance_a = self.clearance_m[*a as usize];
+            let clearance_b = self.clearance_m[*b as usize];
             clearance_b.total_cmp(&clearance_a).then(a.cmp(b))
         });
         let mut rng = Pcg64Mcg::seed_from_u64(seed);

@@ -7,7 +7,7 @@ use super::Surface;
 use super::geometry::Side;
 use super::layout::Layout;
 use super::material_set::{Appearance, MaterialSet};
-use super::mesh::Mesh;
+use super::mesh::{Mesh, flat};
 use super::openings::{CASING_M, Door, LINING_M, Leaf, WALL_M, Window};
 use super::styles::HomeStyle;
 use super::texture::Skin;
@@ -69,8 +69,7 @@ fn frame(door: &Door, style: &HomeStyle, mesh: &mut Mesh) {
     let cased = half + LINING_M + CASING_M;
     let mut part = Mesh::default();
     let floor = [[-outer, -t, 0.0], [outer, -t, 0.0], [outer, t, 0.0], [-outer, t, 0.0]];
-    let tile = style.threshold.tile_m;
-    part.quad(floor, floor.map(|c| [c[0] / tile, c[1] / tile]), style.threshold);
+    part.quad(floor, flat(floor, style.threshold), style.threshold);
     for sign in [-1.0, 1.0_f32] {
         let x = on_side(sign, half, outer);
         part.trim([x[0], -t, 0.0], [x[1], t, top], style.joinery);

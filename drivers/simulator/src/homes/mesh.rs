@@ -182,11 +182,7 @@ impl Mesh {
     fn disc(&mut self, rim: &[[f32; 3]], appearance: Appearance) {
         for i in (1..rim.len() - 2).step_by(2) {
             let corners = [rim[0], rim[i], rim[i + 1], rim[i + 2]];
-            self.quad(
-                corners,
-                corners.map(|c| [c[0] / appearance.tile_m, c[1] / appearance.tile_m]),
-                appearance,
-            );
+            self.quad(corners, flat(corners, appearance), appearance);
         }
     }
 

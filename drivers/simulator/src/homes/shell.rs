@@ -201,8 +201,8 @@ fn facade(layout: &Layout, index: usize, side: Side, appearance: Appearance, mes
     }
 }
 
-/// The length of a facade beyond its wall's end. `beyond` is a point there, inside at a concave
-/// corner.
+/// How far a facade goes on behind the end of its wall: the wall's thickness at a convex corner of the home, half of it at a
+/// concave one, else 0. The corner is concave if `beyond`, a point behind the end, lies in a room.
 fn overhang(is_corner: bool, beyond: [f32; 2], layout: &Layout) -> f32 {
     match (is_corner, layout.cells.iter().any(|c| c.rect.contains(beyond))) {
         (true, false) => WALL_M,

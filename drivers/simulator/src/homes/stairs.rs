@@ -45,7 +45,8 @@ impl Stairwell {
             !matches!(layout.rooms[*room].kind, RoomKind::Bath | RoomKind::Corridor)
         });
         rooms.sort_by(|a, b| {
-            let [area_a, area_b] = [a, b].map(|room| layout.rooms[*room].rect.area_m2());
+            let area_a = layout.rooms[*a].rect.area_m2();
+            let area_b = layout.rooms[*b].rect.area_m2();
             area_b.total_cmp(&area_a)
         });
         let forward = rng.random_bool(0.5);

@@ -64,8 +64,9 @@ fn part_of(motion: &Pose2, share: f64) -> Pose2 {
     )
 }
 
-fn chord_by_arc(angle: f64) -> f64 {
-    if angle.abs() < 1e-9 { 1.0 } else { angle.sin() / angle }
+/// The length of a chord divided by that of its arc: sin(x) / x, where x is half of the arc's angle.
+fn chord_by_arc(half_angle: f64) -> f64 {
+    if half_angle.abs() < 1e-9 { 1.0 } else { half_angle.sin() / half_angle }
 }
 
 #[cfg(test)]

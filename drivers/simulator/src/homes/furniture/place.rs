@@ -113,6 +113,13 @@ impl RoomFloor {
         None
     }
 
+    /// Whether a window or a picture is at this part of a wall.
+    fn has_shown(&self, side: Side, span: [f32; 2]) -> bool {
+        self.shown
+            .iter()
+            .any(|(other, shown)| *other == side && shown[0] < span[1] && span[0] < shown[1])
+    }
+
     fn wall_spot(&self, piece: &Piece, stand: Stand, rng: &mut Pcg64Mcg) -> Option<(Spot, Rect)> {
         let side = Side::ALL[rng.random_range(0..4)];
         let wall = self.rect.wall(side);
@@ -126,11 +133,7 @@ impl RoomFloor {
             _ => rng.random_range(0.0..=1.0),
         };
         let s = [GAP_M + slack * share, GAP_M + slack * share + w];
-        let is_covered = self
-            .shown
-            .iter()
-            .any(|(other, span)| *other == side && span[0] < s[1] && s[0] < span[1]);
-        if h > TALL_M && is_covered {
+        if h > TALL_M && self.has_shown(side, s) {
             return None;
         }
         let rect = wall.rect(s, [GAP_M, GAP_M + d]);
