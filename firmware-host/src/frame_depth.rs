@@ -65,7 +65,8 @@ impl FrameDepth {
         camera: CameraModel,
         t_base_camera: Option<&Pose3>,
     ) -> Result<Self, PerceptionError> {
-        let coarse = CoarseDepth::new(coarse.clone(), camera)?;
+        let is_on_robot = t_base_camera.is_some();
+        let coarse = CoarseDepth::new(coarse.clone(), camera)?.with_floor(is_on_robot);
         Ok(Self {
             dense: DenseDepth::new(dense.clone(), &camera, &coarse, t_base_camera),
             coarse,

@@ -20,7 +20,7 @@ use tempfile::TempDir;
 /// the horizon.
 pub const CONFIG: &str = "\
 [camera]\nwidth = 160\nheight = 64\npitch_down_deg = 0.0\n\
-[map]\ndrop_range_m = 4.0\ndrop_certainty = 0.99\n\
+[map]\ndrop_range_m = 4.0\n\
 [models]\nmax_p99_ms = 1000\ngate_timeout_s = 120\ngate_memory_mib = 4096\ntrial_ticks = 60\ntrial_m = 0.2\n";
 
 /// The drive that models are judged by. It shows enough places that a model which is as good as another one is shown to be so; the

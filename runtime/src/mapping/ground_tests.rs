@@ -192,7 +192,7 @@ fn drops(factor: f32, confidence: f32) -> usize {
         row[320..].iter_mut().for_each(|depth_m| *depth_m *= factor);
     }
     depth.confidence.fill(confidence);
-    let config = MapConfig { drop_certainty: 0.99, ..wide() };
+    let config = wide();
     let mut grid = OccupancyGrid::new(&config).unwrap();
     observe_depth(&mut grid, &depth, &Pose2::IDENTITY, &camera_pose);
     occupied(&grid).len()

@@ -8,6 +8,7 @@ use super::aggregate::{PathRows, Volume};
 use super::belief::Belief;
 use super::census::CensusImage;
 use super::confidence;
+use super::floor_plane::FloorPlane;
 use super::frame_motion::FrameMotion;
 use super::fusion::{CELLS_AT_ONCE, Memory};
 use super::keyframes::{Keyframes, Requirements};
@@ -52,6 +53,8 @@ pub struct CoarseDepth {
     /// The camera whose pixels are the cells.
     cells: CameraModel,
     inverse_depth: [f32; PLANES],
+    /// Whether the plane z = 0 of `odom` is the floor.
+    has_floor: bool,
     keyframes: Keyframes,
     memory: Memory,
     last_pose: Option<Pose3>,
@@ -134,6 +137,7 @@ impl CoarseDepth {
         Ok(Self {
             inverse_depth: hypotheses(config.min_depth_m, config.max_depth_m),
             descriptors: camera.cropped(0.5, 0.5, camera.width, camera.height),
+            has_floor: false,
             keyframes: Keyframes::default(),
             memory: Memory::default(),
             last_pose: None,
@@ -152,6 +156,14 @@ impl CoarseDepth {
             cells,
             buffers,
         })
+    }
+
+    /// Tells whether the plane z = 0 of `odom` is the floor, as it is for a camera on a robot with wheels and not for one held by
+    /// hand. What seems to be behind the floor has no vote where the floor matches as well, as on tiles whose pattern repeats.
+    #[must_use]
+    pub fn with_floor(mut self, has_floor: bool) -> Self {
+        self.has_floor = has_floor;
+        self
     }
 
     /// Depth of `frame` (RGB8 or GRAY8), taken at `t_odom_camera`, from the frames before it.
@@ -369,6 +381,8 @@ impl CoarseDepth {
             }
             Some(Reference::new(&keyframe.census, &t_reference_camera, &self.descriptors))
         });
+        let floor =
+            self.has_floor.then(|| FloorPlane::new(&self.pose, &self.descriptors)).flatten();
         sweep(image, &references, inverse_depth, costs, unseen);
         shrink(&image.smooth, image.width, width, grey);
         let p1 = self.config.penalty_small;
@@ -396,7 +410,7 @@ impl CoarseDepth {
                     .filter_map(|reference| reference.parallax_px(u, v, vote.inverse_depth))
                     .fold(0.0, f32::max);
             }
-            refine_votes(image, &references, row, inverse_depth[0], votes);
+            refine_votes(image, &references, row, inverse_depth[0], floor.as_ref(), votes);
         });
         for (vote, moving) in votes.iter_mut().zip(self.motion_mask.cells()) {
             if *moving {

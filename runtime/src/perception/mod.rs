@@ -24,6 +24,7 @@ mod config;
 pub mod dense;
 mod estimate;
 pub mod fill;
+mod floor_plane;
 pub mod flow;
 mod frame_motion;
 mod fusion;

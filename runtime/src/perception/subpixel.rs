@@ -7,6 +7,7 @@
 use multiversion::multiversion;
 
 use super::census::CensusImage;
+use super::floor_plane::FloorPlane;
 use super::sweep::{CELL, PatchObservation, Reference, nearest};
 use super::wta::Vote;
 
@@ -33,13 +34,15 @@ struct Patch {
     slope_v: [f32; SAMPLES],
 }
 
-/// Corrects the votes of a row of cells and measures their misfit. `image` and the references have the same size.
+/// Corrects the votes of a row of cells and measures their misfit. `image` and the references have the same size. A vote behind the
+/// floor is removed where the floor explains the image as well.
 #[multiversion(targets("x86_64+avx2+fma"))]
 pub fn refine_votes<'a>(
     image: &CensusImage,
     references: &[Option<Reference<'a>>],
     row: usize,
     farthest: f32,
+    floor: Option<&FloorPlane>,
     votes: &mut [Vote],
 ) {
     for (column, vote) in votes.iter_mut().enumerate().filter(|(_, vote)| vote.parallax_px > 0.0) {
@@ -48,17 +51,42 @@ pub fn refine_votes<'a>(
             vote.misfit = 1.0;
             continue;
         };
-        let step = step(
-            &patch,
-            &warp(census, &observed),
-            observed.motion.map(|motion| motion / observed.speed),
-        );
+        let step = step_of(&patch, census, &observed);
         let change_px = step.pull / (step.hold + PRIOR);
         if change_px.abs() < REACH_PX {
             vote.inverse_depth = (vote.inverse_depth + change_px / observed.speed).max(farthest);
         }
         vote.misfit = step.misfit;
+        if floor.is_some_and(|floor| floor_explains(floor, [u, v], &patch, references, vote)) {
+            *vote = Vote::default();
+        }
     }
+}
+
+/// Whether a vote is behind the floor, and the floor explains the patch with the middle (u, v) as well.
+#[inline(always)]
+fn floor_explains(
+    floor: &FloorPlane,
+    [u, v]: [f32; 2],
+    patch: &Patch,
+    references: &[Option<Reference<'_>>],
+    vote: &Vote,
+) -> bool {
+    let on_floor = floor.inverse_depth(u, v);
+    if !FloorPlane::is_behind(on_floor, vote.inverse_depth) {
+        return false;
+    }
+    let Some((census, observed)) = fastest(references, u, v, on_floor) else { return false };
+    let observed = floor.lay_down(observed);
+    is_visible(census, &observed)
+        && FloorPlane::explains(step_of(patch, census, &observed).misfit, vote.misfit)
+}
+
+/// The step of a patch as a reference observes it.
+#[inline(always)]
+fn step_of(patch: &Patch, census: &CensusImage, observed: &PatchObservation) -> Step {
+    let direction = observed.motion.map(|motion| motion / observed.speed);
+    step(patch, &warp(census, observed), direction)
 }
 
 /// Selects, of the references that see the whole patch, the one in which its position depends most on its depth: it
@@ -281,7 +309,7 @@ mod tests {
         let reference = Reference::new(reference, &Pose3::translation(-0.5, 0.0, 0.0), &camera);
         let mut votes =
             vec![Vote { inverse_depth, parallax_px: 8.0, ..Vote::default() }; SIZE / CELL];
-        refine_votes(image, &[None, Some(reference)], SIZE / CELL / 2, FARTHEST, &mut votes);
+        refine_votes(image, &[None, Some(reference)], SIZE / CELL / 2, FARTHEST, None, &mut votes);
         votes.drain(..3);
         votes.truncate(10);
         votes

@@ -46,7 +46,7 @@ fn texture(point: &Point3<f64>) -> f64 {
 }
 
 /// Noise on a grid of cells of `cell_m`, 0 to 1.
-fn noise(point: &Point3<f64>, cell_m: f64, seed: u32) -> f64 {
+pub fn noise(point: &Point3<f64>, cell_m: f64, seed: u32) -> f64 {
     let x = point.x / cell_m;
     let y = point.y / cell_m;
     let i = x.floor();

@@ -173,7 +173,7 @@ impl Robot {
             return Err(RobotError::NoModel);
         }
         let rng = Pcg64Mcg::seed_from_u64(config.seed);
-        let coarse = CoarseDepth::new(config.coarse.clone(), config.camera)?;
+        let coarse = CoarseDepth::new(config.coarse.clone(), config.camera)?.with_floor(true);
         let mount = Some(&config.t_base_camera);
         let dense = DenseDepth::new(config.dense.clone(), &config.camera, &coarse, mount);
         Ok(Self {

@@ -98,7 +98,8 @@ fn samples<const N: usize>(
     let mut samples = Samples::default();
     let CameraModel { width, height, .. } = sequence.camera;
     let columns = width / 4;
-    let mut engine = CoarseDepth::new(coarse.clone(), sequence.camera)?;
+    let mut engine =
+        CoarseDepth::new(coarse.clone(), sequence.camera)?.with_floor(sequence.mount.is_some());
     let mut dense =
         DenseDepth::new(dense.clone(), &sequence.camera, &engine, sequence.mount.as_ref());
     for (index, view) in sequence.views.iter().enumerate() {

@@ -32,7 +32,7 @@ impl Refined {
     /// When a setting is out of range or the model cannot be used.
     pub fn new(model: &Path, input: Input, config: &Config, sequence: &Sequence) -> Result<Self> {
         let engine: Box<dyn Engine> = match input {
-            Input::Coarse => Box::new(Coarse::new("coarse", config, sequence.camera)?),
+            Input::Coarse => Box::new(Coarse::new("coarse", config, sequence)?),
             Input::Dense => Box::new(Dense::new("dense", config, sequence)?),
         };
         let network = load_network(model, &sequence.camera, config)?;

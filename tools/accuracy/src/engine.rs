@@ -51,8 +51,9 @@ pub struct Coarse {
 impl Coarse {
     /// # Errors
     /// When a setting is out of range.
-    pub fn new(name: &str, config: &Config, camera: CameraModel) -> Result<Self> {
-        Ok(Self { name: name.to_owned(), engine: CoarseDepth::new(config.coarse.clone(), camera)? })
+    pub fn new(name: &str, config: &Config, sequence: &Sequence) -> Result<Self> {
+        let engine = CoarseDepth::new(config.coarse.clone(), sequence.camera)?;
+        Ok(Self { name: name.to_owned(), engine: engine.with_floor(sequence.mount.is_some()) })
     }
 }
 

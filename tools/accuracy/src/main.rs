@@ -87,7 +87,7 @@ fn main() -> Result<()> {
     println!("{}", Outcome::head());
     for (name, config) in &configs {
         compare(&options, &sequences, options.out.as_deref(), |sequence| {
-            Ok(Box::new(Coarse::new(name, config, sequence.camera)?))
+            Ok(Box::new(Coarse::new(name, config, sequence)?))
         })?;
     }
     for (name, config) in &configs {
@@ -226,7 +226,8 @@ fn samples<const N: usize>(
     let mut samples = Samples::default();
     let CameraModel { width, height, .. } = sequence.camera;
     let columns = width / 4;
-    let mut engine = CoarseDepth::new(coarse.clone(), sequence.camera)?;
+    let mut engine =
+        CoarseDepth::new(coarse.clone(), sequence.camera)?.with_floor(sequence.mount.is_some());
     for (index, view) in sequence.views.iter().enumerate() {
         let (rgb, pose) = disturbance.apply(index, view);
         let frame = ImageView::rgb8(width, height, &rgb)?;
