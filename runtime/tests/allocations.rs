@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
 use hal::{
-    Base, CameraModel, DriveCommand, ImageView, LaserScan, Lidar, PixelFormat, Pose3, Range,
-    ScanGeometry, Twist2, WheelFeedback,
+    Base, CameraModel, CameraMount, DriveCommand, ImageView, LaserScan, Lidar, PixelFormat, Pose3,
+    Range, ScanGeometry, Twist2, WheelFeedback,
 };
 use runtime::perception::flow::{DenseFlow, FlowPreset};
 use runtime::perception::{CoarseConfig, CoarseDepth};
@@ -37,7 +37,7 @@ fn allocations(work: impl FnOnce() + Send) -> u64 {
 fn coarse_depth_allocates_nothing_once_its_keyframes_are_full() {
     let camera = CameraModel::pinhole(WIDTH, HEIGHT, 1.5);
     let config = CoarseConfig { keyframes: 8, ..CoarseConfig::default() };
-    let mut engine = CoarseDepth::new(config, camera).unwrap();
+    let mut engine = CoarseDepth::new(config, camera).unwrap().with_floor(true);
     let images: Vec<Vec<u8>> = (0..60).map(|step| image(f64::from(step))).collect();
     let mut with_depth = estimate(&mut engine, &images, 0..40);
     assert_eq!(allocations(|| with_depth += estimate(&mut engine, &images, 40..60)), 0);
@@ -48,8 +48,9 @@ fn coarse_depth_allocates_nothing_once_its_keyframes_are_full() {
 fn estimate(engine: &mut CoarseDepth, images: &[Vec<u8>], steps: std::ops::Range<usize>) -> u32 {
     let mut with_depth = 0;
     for step in steps {
-        let pose = Pose3::translation(0.03 * step as f64, 0.0, 0.0);
-        with_depth += u32::from(engine.estimate(view(&images[step]), &pose).is_ok());
+        let t_odom_base = Pose3::translation(0.0, -0.03 * step as f64, 0.0);
+        let t_odom_camera = t_odom_base * CameraMount::default().t_base_camera();
+        with_depth += u32::from(engine.estimate(view(&images[step]), &t_odom_camera).is_ok());
     }
     with_depth
 }

@@ -54,7 +54,7 @@ hal::settings! {
         drop_min_m: f32 = 0.04, in 0.01..=1.0, unit "m", source "thresholds and carpets; a stair is 0.14 m or more";
         /// Probability with which a point must be below the floor by the confidence of its depth.
         drop_certainty: f32 = 0.99, in 0.0..=0.9999,
-            source "ten homes with stairs: no fall; with 0.999 two falls in four of them";
+            source "20 homes with stairs: no fall; with 0.999 two falls in four of them";
         /// Clearing stops this fraction of the distance before an obstacle, because depth is noisy, and more so far away.
         clear_margin: f32 = 0.05, in 0.0..=0.9;
         /// Depth with a lower probability of being correct stays out of the map.

@@ -1,18 +1,13 @@
 //! The plane of the floor as a rival of votes that are behind it.
 //!
 //! On tiles, boards and carpets a pattern repeats. A patch of it may match a period too far, and then the floor looks like a drop. The
-//! sweep does not show that: it takes every patch for one that faces the camera, which is wrong for the floor. Here the floor is
-//! compared as it lies. Where it explains the image as well, the vote says nothing: neither that there is a drop nor that there is
-//! floor, because a robot must not drive onto either on such evidence.
+//! sweep does not show that: it compares every patch as if it faced the camera, and the floor does not. Here the floor is compared as it
+//! lies. Where it explains the image as well, the vote is removed: such an image shows neither a drop nor floor.
 
 use hal::{CameraModel, Pose3};
 
 use super::belief::AGREEMENT;
 use super::sweep::PatchObservation;
-
-/// Share of the brightness pattern that the floor may leave unexplained in addition to what the vote does: the plane is known to the
-/// accuracy of the mount, and a vote has won among 64 hypotheses.
-const ALLOWANCE: f32 = 0.1;
 
 /// The plane of the floor as a camera sees it: inverse depth is linear in the position in the image.
 #[derive(Debug, Clone, Copy)]
@@ -26,7 +21,8 @@ pub struct FloorPlane {
 }
 
 impl FloorPlane {
-    /// The plane z = 0 of `odom`, seen by a camera at `t_odom_camera`, a positive height above it.
+    /// The plane z = 0 of `odom`, seen by a camera at `t_odom_camera`; `None` unless the camera is above it. Positions are pixels of
+    /// `camera`.
     pub fn new(t_odom_camera: &Pose3, camera: &CameraModel) -> Option<Self> {
         let height_m = t_odom_camera.translation.z;
         let inverse_depth =
@@ -45,16 +41,10 @@ impl FloorPlane {
         self.at_origin + self.along_u * u + self.along_v * v
     }
 
-    /// Whether a point is clearly behind the floor of inverse depth `floor`.
+    /// Whether the floor at position (u, v) is clearly before a point of this inverse depth.
     #[inline(always)]
-    pub fn is_behind(floor: f32, inverse_depth: f32) -> bool {
-        inverse_depth < (1.0 - AGREEMENT) * floor
-    }
-
-    /// Whether the floor explains a patch as well as a vote does.
-    #[inline(always)]
-    pub fn explains(floor_misfit: f32, vote_misfit: f32) -> bool {
-        floor_misfit <= vote_misfit + ALLOWANCE
+    pub fn is_before(&self, u: f32, v: f32, inverse_depth: f32) -> bool {
+        inverse_depth < (1.0 - AGREEMENT) * self.inverse_depth(u, v)
     }
 
     /// The observation of a patch that lies on the floor, from that of a patch which faces the camera at the same place.

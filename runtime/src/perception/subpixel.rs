@@ -2,7 +2,7 @@
 //!
 //! One Gauss-Newton step along the epipolar lines (Lucas and Kanade 1981) for every cell. Descriptors are compared at whole
 //! pixels, an error of up to half a pixel: 5 % of the depth at ten pixels of parallax. Gain and offset are estimated too, so
-//! exposure does not matter.
+//! exposure does not matter. Votes behind the floor are compared with the floor (`floor_plane.rs`).
 
 use multiversion::multiversion;
 
@@ -26,6 +26,12 @@ const REACH_PX: f32 = 1.0;
 const PRIOR: f32 = 25.0;
 /// Variance of a patch due to sensor noise, grey levels squared.
 const NOISE: f32 = 4.0;
+/// Inverse depths of the floor that are tried, as shares of that of its plane: pitch and height of the camera are known to some percent,
+/// and floors are not quite flat. Half a degree of pitch is 2 % at 2 m.
+const FLOOR_TOLERANCE: [f32; 5] = [1.0, 0.96, 1.04, 0.92, 1.08];
+/// Share of the brightness pattern that the floor may leave unexplained in addition to what a vote behind it does: the vote has won among
+/// all hypotheses.
+const FLOOR_ALLOWANCE: f32 = 0.1;
 
 /// The patch of a cell: brightness in grey levels, and its slopes in grey levels per pixel.
 struct Patch {
@@ -52,12 +58,14 @@ pub fn refine_votes<'a>(
             continue;
         };
         let step = step_of(&patch, census, &observed);
-        let change_px = step.pull / (step.hold + PRIOR);
+        let change_px = step.change_px();
         if change_px.abs() < REACH_PX {
             vote.inverse_depth = (vote.inverse_depth + change_px / observed.speed).max(farthest);
         }
         vote.misfit = step.misfit;
-        if floor.is_some_and(|floor| floor_explains(floor, [u, v], &patch, references, vote)) {
+        if let Some(floor) = floor
+            && floor_explains(floor, [u, v], &patch, references, vote)
+        {
             *vote = Vote::default();
         }
     }
@@ -72,14 +80,23 @@ fn floor_explains(
     references: &[Option<Reference<'_>>],
     vote: &Vote,
 ) -> bool {
-    let on_floor = floor.inverse_depth(u, v);
-    if !FloorPlane::is_behind(on_floor, vote.inverse_depth) {
+    if !floor.is_before(u, v, vote.inverse_depth) {
         return false;
     }
-    let Some((census, observed)) = fastest(references, u, v, on_floor) else { return false };
-    let observed = floor.lay_down(observed);
-    is_visible(census, &observed)
-        && FloorPlane::explains(step_of(patch, census, &observed).misfit, vote.misfit)
+    for share in FLOOR_TOLERANCE {
+        let on_floor = share * floor.inverse_depth(u, v);
+        let Some((census, observed)) = fastest(references, u, v, on_floor) else { continue };
+        let observed = floor.lay_down(observed);
+        if !is_visible(census, &observed) {
+            continue;
+        }
+        let step = step_of(patch, census, &observed);
+        let is_near = step.change_px().abs() < REACH_PX;
+        if is_near && step.gain > 0.0 && step.misfit <= vote.misfit + FLOOR_ALLOWANCE {
+            return true;
+        }
+    }
+    false
 }
 
 /// The step of a patch as a reference observes it.
@@ -221,8 +238,18 @@ struct Step {
     /// Normal equation of the motion along the line, pixels: `hold` x motion = `pull`.
     pull: f32,
     hold: f32,
+    /// Contrast of what is observed as a share of the patch's; negative where bright is dark.
+    gain: f32,
     /// Share of the observed variance that the patch does not explain, 0 to 1.
     misfit: f32,
+}
+
+impl Step {
+    /// The motion along the line, pixels; little where the image is flat.
+    #[inline(always)]
+    fn change_px(&self) -> f32 {
+        self.pull / (self.hold + PRIOR)
+    }
 }
 
 /// The motion along `direction` after which `seen` equals the patch up to gain and offset.
@@ -257,7 +284,8 @@ fn step(patch: &Patch, seen: &[f32; SAMPLES], direction: [f32; 2]) -> Step {
     let left = ee - ev * ev * per_value - pull * pull / (hold + PRIOR);
     let noise = NOISE * SAMPLES as f32;
     let misfit = ((left + noise) / (ee + noise)).clamp(0.0, 1.0);
-    Step { pull, hold: hold * (ev * per_value).clamp(0.5, 2.0), misfit }
+    let gain = ev * per_value;
+    Step { pull, hold: hold * gain.clamp(0.5, 2.0), gain, misfit }
 }
 
 /// Sums in lanes, in the order of vector registers.

@@ -20,7 +20,8 @@ pub struct Vote {
     /// Share of the brightness pattern in the references that this frame does not explain, 0 to 1: near 1 where the match is
     /// wrong or the object has moved.
     pub misfit: f32,
-    /// Largest parallax among the references, full-size pixels; 0 where no reference sees the cell.
+    /// Largest parallax among the references, full-size pixels; 0 where no reference sees the cell, where something moves,
+    /// and behind the floor where the floor explains the image as well: the vote does not count.
     pub parallax_px: f32,
 }
 
