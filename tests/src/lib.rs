@@ -23,7 +23,7 @@ pub mod video;
 pub mod world;
 
 pub use noise::noise;
-pub use scenario::{Scenario, Tick, successor};
+pub use scenario::{Scenario, Sensors, Tick, successor};
 
 use std::ops::Range;
 

@@ -1,6 +1,7 @@
 //! A robot in a built-in home with devices that may misbehave, in virtual time.
 
 use std::error::Error;
+use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
 use drivers::fault::{
@@ -55,6 +56,24 @@ impl Tick {
     }
 }
 
+/// What differs between the robots of scenarios.
+pub struct Sensors {
+    pub laser: LaserModel,
+    pub mount: CameraMount,
+    pub camera: CameraModel,
+}
+
+impl Default for Sensors {
+    /// The camera is small, because rendering takes most of the time of a scenario.
+    fn default() -> Self {
+        Self {
+            laser: LaserModel::UTM_30LX,
+            mount: CameraMount::default(),
+            camera: CameraModel::pinhole(160, 64, FRAC_PI_2),
+        }
+    }
+}
+
 impl Scenario {
     /// The default robot with a small camera in an apartment, with injected faults. The fault `random` is replaced by a minute of
     /// random faults.
@@ -63,10 +82,10 @@ impl Scenario {
     /// A text that is not a fault. A built-in home that cannot be opened or a default configuration that is refused is a defect
     /// of the project.
     pub fn new(policy: PolicyKind, faults: &[&str], seed: u64) -> Result<Self, Box<dyn Error>> {
-        Self::with_sensors(policy, faults, seed, LaserModel::UTM_30LX, CameraMount::default())
+        Self::with_sensors(policy, faults, seed, Sensors::default())
     }
 
-    /// As [`new`](Self::new), with another scanner and another mount of the camera.
+    /// As [`new`](Self::new), with other sensors.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -74,13 +93,11 @@ impl Scenario {
         policy: PolicyKind,
         faults: &[&str],
         seed: u64,
-        laser: LaserModel,
-        mount: CameraMount,
+        sensors: Sensors,
     ) -> Result<Self, Box<dyn Error>> {
+        let Sensors { laser, mount, camera } = sensors;
         let world = World::open("builtin:apartment?seed=1", &OpenOptions::default())?;
         let description = RobotDescription { camera: mount, ..RobotDescription::default() };
-        // A small one, because rendering takes most of the time of a scenario.
-        let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
         let t_base_camera = mount.t_base_camera();
         let options =
             RobotOptions { camera, seed, laser, t_base_camera, ..RobotOptions::default() };
