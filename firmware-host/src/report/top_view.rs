@@ -5,7 +5,7 @@ use std::path::Path;
 
 use hal::{CameraModel, Pose2, Pose3};
 use nalgebra::{Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use runtime::mapping::{Cell, CellState, MapConfig, MapError, OccupancyGrid, Shadow};
+use runtime::mapping::{Cell, CellState, MapConfig, MapError, OccupancyGrid, Surfaces};
 use runtime::perception::DepthEstimate;
 
 use super::atomic::ReportError;
@@ -70,7 +70,7 @@ impl TopView {
         self.grid.begin_update(&pose)?;
         let seen = self
             .grid
-            .integrate_depth(depth, camera, &t_level_camera, &Shadow::default())
+            .integrate_depth(depth, camera, &t_level_camera, &Surfaces::default())
             .map(|_| ());
         self.grid.finish_update();
         // A camera that points straight up or down sees no walls.

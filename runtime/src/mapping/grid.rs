@@ -5,9 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::ground::GroundCell;
 use super::window::Window;
-use super::{
-    Cell, CellBox, CellState, FrameMapper, LidarUse, MapConfig, MapError, Shadow, SingleFrameMap,
-};
+use super::{Cell, CellBox, CellState, FrameMapper, MapConfig, MapError, SingleFrameMap, Surfaces};
 use crate::perception::DepthEstimate;
 use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 
@@ -21,13 +19,9 @@ const FAINTEST: f32 = 1e-20;
 /// 2,000 updates at a decay of 0.98.
 const RENORMALISE_BELOW: f64 = 1e-18;
 
-/// An obstacle that is still in the image at this distance from the camera, metres, can wait behind a surface until the robot is
-/// there. What is lower has to be marked from afar.
-const NEAR_M: f64 = 0.5;
-
 /// Stands for a height in cells that hold a drop instead of an obstacle. Obstacles are at most 2.5 m
 /// high.
-const DROP_CM: u8 = 255;
+pub(super) const DROP_CM: u8 = 255;
 
 /// An occupancy grid in `odom` whose window follows the robot.
 ///
@@ -130,9 +124,8 @@ impl OccupancyGrid {
     /// Integrates a depth frame. Returns its single-frame map, for comparison with those of other
     /// frames.
     ///
-    /// Cells in the `shadow` of the scan become neither free nor occupied by what the camera still sees from near by. What is so
-    /// low that it leaves the image when the robot comes near, such as a table top behind a box, is marked: it would not be seen
-    /// again.
+    /// Where a scan measured `surfaces`, they decide what becomes of the camera's cells near them and behind them
+    /// (`frame_evidence.rs`).
     ///
     /// # Errors
     /// As [`FrameMapper::map`]; the map is then unchanged.
@@ -141,36 +134,16 @@ impl OccupancyGrid {
         estimate: &DepthEstimate,
         camera: &CameraModel,
         t_odom_camera: &Pose3,
-        shadow: &Shadow,
+        surfaces: &Surfaces,
     ) -> Result<&SingleFrameMap, MapError> {
         let mut frame = core::mem::take(&mut self.frame);
         let result = self.mapper.map(estimate, camera, t_odom_camera, &mut frame);
         if result.is_ok() {
-            self.add_frame(&frame, shadow, lowest_near_m(camera, t_odom_camera));
+            self.add_frame(&frame, surfaces, camera, t_odom_camera);
             self.add_ground();
         }
         self.frame = frame;
         result.map(|()| &self.frame)
-    }
-
-    fn add_frame(&mut self, frame: &SingleFrameMap, shadow: &Shadow, lowest_near_m: f64) {
-        let behind_m = self.config.behind_hit_m;
-        for seen in &frame.cells {
-            let Some(index) = self.window.index(seen.cell) else { continue };
-            let is_seen_from_near = seen.evidence < 0.0 || f64::from(seen.height_m) > lowest_near_m;
-            let hides = self.config.lidar != LidarUse::Off && is_seen_from_near;
-            if hides && shadow.hides(seen.cell.center_m(self.config.cell_m), behind_m) {
-                continue;
-            }
-            let height_cm = (seen.height_m * 100.0).clamp(1.0, 254.0) as u8;
-            if seen.evidence > 0.0 {
-                self.add_camera_obstacle(seen.cell, seen.evidence, height_cm);
-            } else if !self.holds_drop(index) {
-                let over_the_top = self.stored[index] > 0.0 && height_cm > self.top_cm[index];
-                let weight = if over_the_top { self.config.over_the_top_weight } else { 1.0 };
-                self.add_evidence(seen.cell, index, seen.evidence * weight);
-            }
-        }
     }
 
     /// Keeps what the mapper's last frame saw of the ground until the update is finished.
@@ -185,7 +158,7 @@ impl OccupancyGrid {
 
     /// Whether a cell is occupied because the floor ends there. Rays that pass above such a cell,
     /// of the camera or of the LiDAR, say nothing about its floor.
-    fn holds_drop(&self, index: usize) -> bool {
+    pub(super) fn holds_drop(&self, index: usize) -> bool {
         self.stored[index] > 0.0 && self.top_cm[index] == DROP_CM
     }
 
@@ -594,13 +567,6 @@ impl State for OccupancyGrid {
         }
         Ok(())
     }
-}
-
-/// Height of the lowest ray in the middle of the image at [`NEAR_M`] from the camera, metres above the floor.
-fn lowest_near_m(camera: &CameraModel, t_odom_camera: &Pose3) -> f64 {
-    let lowest = camera.ray(camera.width as f64 / 2.0, camera.height as f64 - 1.0);
-    let ray = t_odom_camera.rotation * lowest;
-    t_odom_camera.translation.vector.z + NEAR_M * ray.z / ray.x.hypot(ray.y)
 }
 
 pub(super) fn check_pose2(pose: &'static str, value: &Pose2) -> Result<(), MapError> {

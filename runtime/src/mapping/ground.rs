@@ -154,11 +154,11 @@ impl Ground {
 ///
 /// The logarithm of a depth is taken to have a logistic error, whose probability of being below `a` is tanh(a / 2s). Confidence
 /// gives its scale s.
-fn log_error(certainty: f32) -> f32 {
+pub(super) fn log_error(certainty: f32) -> f32 {
     CONFIDENT_FACTOR.ln() * certainty.atanh()
 }
 
 /// Whether the factor between two depths is certainly more than the error of a depth with this confidence.
-fn is_larger(factor: f32, confidence: f32, log_error: f32) -> bool {
+pub(super) fn is_larger(factor: f32, confidence: f32, log_error: f32) -> bool {
     factor.ln() > log_error / confidence.atanh()
 }

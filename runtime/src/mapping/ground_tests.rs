@@ -75,7 +75,7 @@ fn observe_depth(
     t_odom_camera: &Pose3,
 ) {
     grid.begin_update(robot).unwrap();
-    grid.integrate_depth(depth, &camera(), t_odom_camera, &Shadow::default()).unwrap();
+    grid.integrate_depth(depth, &camera(), t_odom_camera, &Surfaces::default()).unwrap();
     grid.finish_update();
 }
 
@@ -138,7 +138,7 @@ fn rays_and_scans_that_pass_above_stairs_leave_them_occupied() {
     for _ in 0..50 {
         grid.begin_update(&robot).unwrap();
         grid.integrate_scan(&scan, &robot).unwrap();
-        grid.integrate_depth(&depth, &camera(), &camera_pose, &Shadow::default()).unwrap();
+        grid.integrate_depth(&depth, &camera(), &camera_pose, &Surfaces::default()).unwrap();
         grid.finish_update();
     }
     for [x_m, y_m] in before {

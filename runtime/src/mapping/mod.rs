@@ -10,6 +10,7 @@ mod cell;
 mod components;
 mod config;
 mod error;
+mod frame_evidence;
 mod frame_map;
 mod frontier;
 mod grid;
@@ -20,9 +21,9 @@ mod inconsistency;
 mod rays;
 mod recompose;
 mod scan;
-mod shadow;
+mod surfaces;
 #[cfg(test)]
-mod shadow_tests;
+mod surfaces_tests;
 #[cfg(test)]
 mod tests;
 mod window;
@@ -37,5 +38,5 @@ pub use inconsistency::{Inconsistency, inconsistencies};
 pub use recompose::{Corrections, Recomposed, Recomposition};
 #[cfg(test)]
 pub(crate) use scan::cells_on_line;
-pub use shadow::Shadow;
+pub use surfaces::Surfaces;
 pub use window::CellBox;

@@ -285,7 +285,7 @@ fn update(grid: &mut OccupancyGrid, solids: &[Solid], robot: &Pose2) {
         &exact_depth(solids, &camera(), &pose),
         &camera(),
         &pose,
-        &Shadow::default(),
+        &Surfaces::default(),
     )
     .unwrap();
     grid.finish_update();

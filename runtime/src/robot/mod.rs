@@ -23,7 +23,7 @@ use crate::calibration_watch::CalibrationWatch;
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{Explorer, Observations};
 use crate::localization::{LocalizationError, Whereabouts};
-use crate::mapping::{MapError, OccupancyGrid, Shadow, SingleFrameMap};
+use crate::mapping::{MapError, OccupancyGrid, SingleFrameMap, Surfaces};
 use crate::perception::{
     CoarseDepth, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, Moment, NoDepth,
     PerceptionError,
@@ -139,8 +139,8 @@ pub struct Robot {
     lost_motion: LostMotion,
     map_correction: MapCorrection,
     map: OccupancyGrid,
-    /// What the newest scan hides from the camera.
-    shadow: Shadow,
+    /// The surfaces of the newest scan.
+    surfaces: Surfaces,
     /// Maps of the newest single frames, oldest first, from which the policy finds inconsistencies.
     frame_maps: VecDeque<SingleFrameMap>,
     explorer: Explorer,
@@ -192,7 +192,7 @@ impl Robot {
             lost_motion: LostMotion::default(),
             map_correction: MapCorrection::default(),
             map: OccupancyGrid::new(&config.map)?,
-            shadow: Shadow::default(),
+            surfaces: Surfaces::default(),
             frame_maps: VecDeque::new(),
             explorer: Explorer::new(
                 config.policy,
@@ -541,8 +541,8 @@ impl Robot {
         let t_map_scan = self.poses.t_map_odom.compose(&self.poses.t_odom_base_at_scan);
         let t_map_laser = t_map_scan.compose(&self.config.t_base_laser);
         match scan {
-            Some(scan) => self.shadow.cast(scan, &t_map_laser, &self.poses.t_map_odom),
-            None => self.shadow.follow(&t_map_laser, &self.poses.t_map_odom),
+            Some(scan) => self.surfaces.measure(scan, &t_map_laser, &self.poses.t_map_odom),
+            None => self.surfaces.follow(&t_map_laser, &self.poses.t_map_odom),
         }
         let turned_deg = self.watch.camera_turned_rad().to_degrees();
         let trusts_camera = turned_deg <= self.config.map.camera_trust_deg;
@@ -557,7 +557,7 @@ impl Robot {
         };
         if let Some(depth) = depth.filter(|_| trusts_camera)
             && let Ok(newest) =
-                self.map.integrate_depth(depth, &self.config.camera, &t_map_camera, &self.shadow)
+                self.map.integrate_depth(depth, &self.config.camera, &t_map_camera, &self.surfaces)
         {
             let gap = self.config.exploration.inconsistency_gap;
             remember_frame_map(&mut self.frame_maps, newest, gap);
@@ -734,7 +734,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, shadow, frame_maps, explorer, bumped, collision_at, unseen_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, surfaces, frame_maps, explorer, bumped, collision_at, unseen_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// The pose at the robot's place that faces `place_m`, and the distance to it, metres.

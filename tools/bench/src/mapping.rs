@@ -4,7 +4,7 @@
 
 use anyhow::{Context, Result};
 use hal::{CameraModel, LaserScan, Pose2, Range, ScanGeometry, camera_mount};
-use runtime::mapping::{Cell, CellBox, FrontierFinder, MapConfig, OccupancyGrid, Shadow};
+use runtime::mapping::{Cell, CellBox, FrontierFinder, MapConfig, OccupancyGrid, Surfaces};
 use runtime::perception::DepthEstimate;
 use runtime::planning::{Costmap, PlanConfig, Planner};
 
@@ -63,17 +63,17 @@ fn map_updates() -> Result<Vec<Row>> {
     let geometry = ScanGeometry::UTM_30LX;
     let scan = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(2.5); geometry.beams] };
     let mut grid = OccupancyGrid::new(&MapConfig::default())?;
-    let mut shadow = Shadow::default();
+    let mut surfaces = Surfaces::default();
     let mut pose = Pose2::IDENTITY;
     let mut update = |with_scan: bool| -> Result<u64> {
         // The paper's robot moves 0.03 m or 2 degrees per frame.
         pose = pose.compose(&Pose2::new(0.03, 0.0, 0.035));
         grid.begin_update(&pose)?;
         if with_scan {
-            shadow.cast(&scan, &pose, &Pose2::IDENTITY);
+            surfaces.measure(&scan, &pose, &Pose2::IDENTITY);
         }
         let t_odom_camera = pose.to_pose3() * camera_mount(0.0, 0.8, 0.0);
-        grid.integrate_depth(&estimate, &camera, &t_odom_camera, &shadow)?;
+        grid.integrate_depth(&estimate, &camera, &t_odom_camera, &surfaces)?;
         if with_scan {
             grid.integrate_scan(&scan, &pose)?;
         }

@@ -1,9 +1,10 @@
-//! Tests of what the LiDAR hides from the camera: depth that takes a wall for more distant than it is.
+//! Tests of what the surfaces of a scan do to the camera's cells: depth that takes a wall for more distant than it is, or for nearer.
 
 use hal::{LaserScan, Pose2, Range, ScanGeometry};
 
 use super::tests::{Solid, camera, exact_depth, mount, room};
-use super::{CellState, LidarUse, MapConfig, OccupancyGrid, Shadow};
+use super::{CellState, LidarUse, MapConfig, OccupancyGrid, Surfaces};
+use crate::perception::DepthEstimate;
 
 /// Distance of the true wall from the robot, and of the wall that the depth shows, metres.
 const TRUE_M: f64 = 1.0;
@@ -36,28 +37,36 @@ fn whole_scan() -> LaserScan {
     scan_of(ScanGeometry::UTM_30LX, hit)
 }
 
-fn shadow_of(scan: &LaserScan) -> Shadow {
-    let mut shadow = Shadow::default();
-    shadow.cast(scan, &Pose2::IDENTITY, &Pose2::IDENTITY);
-    shadow
+fn surfaces_of(scan: &LaserScan) -> Surfaces {
+    let mut surfaces = Surfaces::default();
+    surfaces.measure(scan, &Pose2::IDENTITY, &Pose2::IDENTITY);
+    surfaces
 }
 
 /// The map after ten frames of the depth of these solids.
-fn map_of(solids: &[Solid], shadow: &Shadow, config: &MapConfig) -> OccupancyGrid {
+fn map_of(solids: &[Solid], surfaces: &Surfaces, config: &MapConfig) -> OccupancyGrid {
+    let depth = exact_depth(solids, &camera(), &mount(&Pose2::IDENTITY, 0.0));
+    map_of_depth(&depth, surfaces, config)
+}
+
+fn map_of_depth(depth: &DepthEstimate, surfaces: &Surfaces, config: &MapConfig) -> OccupancyGrid {
     let mut map = OccupancyGrid::new(config).unwrap();
+    integrate(&mut map, depth, surfaces, 10);
+    map
+}
+
+fn integrate(map: &mut OccupancyGrid, depth: &DepthEstimate, surfaces: &Surfaces, frames: usize) {
     let t_odom_camera = mount(&Pose2::IDENTITY, 0.0);
-    let depth = exact_depth(solids, &camera(), &t_odom_camera);
-    for _ in 0..10 {
+    for _ in 0..frames {
         map.begin_update(&Pose2::IDENTITY).unwrap();
-        map.integrate_depth(&depth, &camera(), &t_odom_camera, shadow).unwrap();
+        map.integrate_depth(depth, &camera(), &t_odom_camera, surfaces).unwrap();
         map.finish_update();
     }
-    map
 }
 
 /// The map of depth that shows the wall at [`SEEN_M`].
 fn map_after(scan: &LaserScan, config: &MapConfig) -> OccupancyGrid {
-    map_of(&room([2.0 * SEEN_M, 6.0]), &shadow_of(scan), config)
+    map_of(&room([2.0 * SEEN_M, 6.0]), &surfaces_of(scan), config)
 }
 
 /// The states before the wall, behind it, and where the depth shows it.
@@ -103,7 +112,7 @@ fn the_edge_of_a_table_behind_a_box_is_marked_and_a_high_shelf_there_is_not() {
 }
 
 fn state_behind_the_box(solid: Solid) -> CellState {
-    let map = map_of(&[solid], &shadow_of(&whole_scan()), &MapConfig::default());
+    let map = map_of(&[solid], &surfaces_of(&whole_scan()), &MapConfig::default());
     map.state_at(1.515, 0.0)
 }
 
@@ -140,24 +149,100 @@ fn beams_that_do_not_turn_counter_clockwise_hide_nothing() {
 fn a_surface_hides_what_is_behind_it_wherever_the_laser_is_and_whatever_its_first_beam() {
     for geometry in [ScanGeometry::UTM_30LX, round()] {
         let scan = scan_of(geometry, |_, _, _| Range::Hit(1.0));
-        let mut shadow = Shadow::default();
-        shadow.cast(&scan, &SOMEWHERE, &Pose2::IDENTITY);
+        let mut surfaces = Surfaces::default();
+        surfaces.measure(&scan, &SOMEWHERE, &Pose2::IDENTITY);
         for degrees in -179_i32..=180 {
             let angle_rad = f64::from(degrees).to_radians();
             let is_round = geometry.beams == 400;
             // Half the width of a surface is missing at either edge of the field of view.
             let is_seen = is_round || degrees.abs() < 129;
             let is_unseen = !is_round && degrees.abs() > 135;
-            assert!(!hides(&shadow, 1.14, angle_rad), "{degrees}");
-            assert!(hides(&shadow, 1.16, angle_rad) || !is_seen, "{degrees}");
-            assert!(!hides(&shadow, 1.16, angle_rad) || !is_unseen, "{degrees}");
+            assert!(!hides(&surfaces, 1.14, angle_rad), "{degrees}");
+            assert!(hides(&surfaces, 1.16, angle_rad) || !is_seen, "{degrees}");
+            assert!(!hides(&surfaces, 1.16, angle_rad) || !is_unseen, "{degrees}");
         }
     }
 }
 
-fn hides(shadow: &Shadow, distance_m: f64, angle_rad: f64) -> bool {
+fn hides(surfaces: &Surfaces, distance_m: f64, angle_rad: f64) -> bool {
     let [x_m, y_m] = [angle_rad.cos(), angle_rad.sin()].map(|part| part * distance_m);
-    shadow.hides(SOMEWHERE.transform(x_m, y_m).into(), 0.15)
+    surfaces
+        .toward(SOMEWHERE.transform(x_m, y_m).into())
+        .is_some_and(|surface| surface.behind_m > 0.15)
+}
+
+/// The map of a wall across the view at this distance, seen with this confidence, while the scan measures a wall at [`TRUE_M`].
+fn map_of_wall_at(x_m: f64, confidence: f32, config: &MapConfig) -> OccupancyGrid {
+    let wall = [[x_m, -5.0, 0.0], [x_m + 0.2, 5.0, 2.5]];
+    let t_odom_camera = mount(&Pose2::IDENTITY, 0.0);
+    let mut depth = exact_depth(&[wall], &camera(), &t_odom_camera);
+    depth.confidence.fill(confidence);
+    map_of_depth(&depth, &surfaces_of(&whole_scan()), config)
+}
+
+#[test]
+fn an_obstacle_whose_distance_agrees_with_the_surface_is_marked_at_the_surface() {
+    let config = MapConfig::default();
+    // Half of the depths with a confidence of 0.9 are wrong by less than 25 % * atanh(0.5) / atanh(0.9), about 9 %.
+    for x_m in [0.945, 1.075] {
+        let map = map_of_wall_at(x_m, 0.9, &config);
+        assert_eq!(map.state_at(TRUE_M + 0.015, 0.0), CellState::Occupied, "{x_m}");
+        assert_ne!(map.state_at(x_m + 0.005, 0.0), CellState::Occupied, "{x_m}");
+    }
+    let map = map_of_wall_at(0.885, 0.9, &config);
+    assert_eq!(map.state_at(0.89, 0.0), CellState::Occupied);
+}
+
+#[test]
+fn a_confident_obstacle_before_the_surface_stays_where_the_camera_shows_it() {
+    // As the edge of a table top that is wider than its foot.
+    let map = map_of_wall_at(0.945, 0.99, &MapConfig::default());
+    assert_eq!(map.state_at(0.95, 0.0), CellState::Occupied);
+}
+
+#[test]
+fn no_certainty_and_a_map_without_lidar_leave_obstacles_where_the_camera_shows_them() {
+    for config in [
+        MapConfig { apart_certainty: 0.0, ..MapConfig::default() },
+        MapConfig { lidar: LidarUse::Off, ..MapConfig::default() },
+    ] {
+        let map = map_of_wall_at(0.945, 0.9, &config);
+        assert_eq!(map.state_at(0.95, 0.0), CellState::Occupied);
+        assert_eq!(map.state_at(TRUE_M + 0.015, 0.0), CellState::Unknown);
+    }
+}
+
+#[test]
+fn the_camera_sees_no_low_obstacle_through_one_that_the_map_holds_at_the_surface() {
+    let table = [[1.515, -0.5, 0.30], [1.7, 0.5, 0.45]];
+    let low_box = [[TRUE_M, -0.5, 0.0], [1.1, 0.5, 0.30]];
+    let cupboard = [[TRUE_M, -0.5, 0.0], [1.1, 0.5, 1.20]];
+    assert_eq!(state_of_table_behind(low_box, table), CellState::Occupied);
+    assert_eq!(state_of_table_behind(cupboard, table), CellState::Unknown);
+}
+
+/// The state of a table's edge after the map has seen what is before it, and then depth that shows the table alone.
+fn state_of_table_behind(before: Solid, table: Solid) -> CellState {
+    let config = MapConfig::default();
+    let surfaces = surfaces_of(&whole_scan());
+    let mut map = map_of(&[before], &surfaces, &config);
+    let t_odom_camera = mount(&Pose2::IDENTITY, 0.0);
+    let depth = exact_depth(&[table], &camera(), &t_odom_camera);
+    integrate(&mut map, &depth, &surfaces, 1);
+    map.state_at(1.515, 0.0)
+}
+
+#[test]
+fn a_slanting_wall_hides_what_is_behind_it_as_one_across_the_view_does() {
+    // A wall 1 m away that turns 60 degrees from across the view: its ranges differ by 35 cm on the width of a surface.
+    let slant_rad = 60.0_f64.to_radians();
+    let scan = scan_of(ScanGeometry::UTM_30LX, |_, angle_rad, _| {
+        let towards = (angle_rad - slant_rad).cos();
+        if towards > 0.2 { Range::Hit((0.5 / towards) as f32) } else { Range::NoReturn }
+    });
+    let surface = surfaces_of(&scan).toward([1.2, 0.0]).unwrap();
+    assert!((surface.point_m[0] - 1.0).abs() < 0.01, "{surface:?}");
+    assert!((surface.behind_m - 0.2).abs() < 0.01, "{surface:?}");
 }
 
 #[test]
@@ -169,7 +254,7 @@ fn a_scan_hides_until_the_robot_has_driven_on_or_the_map_is_corrected() {
 }
 
 fn hides_after(x_m: f64, correction: Pose2) -> bool {
-    let mut shadow = shadow_of(&whole_scan());
-    shadow.follow(&Pose2 { x_m, ..Pose2::IDENTITY }, &correction);
-    shadow.hides([1.5, 0.0], 0.15)
+    let mut surfaces = surfaces_of(&whole_scan());
+    surfaces.follow(&Pose2 { x_m, ..Pose2::IDENTITY }, &correction);
+    surfaces.toward([1.5, 0.0]).is_some()
 }
