@@ -39,25 +39,34 @@ impl OccupancyGrid {
         let lowest_near_m = lowest_near_m(camera, t_odom_camera);
         for seen in &frame.cells {
             let surface = surfaces.toward(self.center_m(seen.cell));
-            let Some(surface) = surface.filter(|_| self.config.lidar != LidarUse::Off) else {
-                self.add_cell(seen);
-                continue;
-            };
-            let crossing = self.crossing(seen, &surface, t_odom_camera);
-            if self.is_at_surface(seen, &crossing) {
-                let [x_m, y_m] = surface.point_m;
-                self.add_camera_obstacle(
-                    self.cell_at(x_m, y_m),
-                    seen.evidence,
-                    in_cm(crossing.ray_m),
-                );
-                continue;
+            match surface.filter(|_| self.config.lidar != LidarUse::Off) {
+                None => self.add_cell(seen),
+                Some(surface) if seen.evidence > 0.0 => {
+                    let crossing = self.crossing(seen, &surface, t_odom_camera);
+                    self.add_obstacle(seen, &surface, &crossing, lowest_near_m);
+                }
+                Some(surface) if !self.is_behind(&surface) => self.add_cell(seen),
+                Some(_) => {}
             }
-            let is_behind = surface.behind_m > f64::from(self.config.behind_hit_m);
-            let is_seen_from_near = seen.evidence < 0.0 || f64::from(seen.height_m) > lowest_near_m;
-            if !(is_behind && (is_seen_from_near || self.is_through(&surface, &crossing))) {
-                self.add_cell(seen);
-            }
+        }
+    }
+
+    /// Adds an obstacle in whose direction the scan measured a surface.
+    fn add_obstacle(
+        &mut self,
+        seen: &FrameCell,
+        surface: &Surface,
+        crossing: &Crossing,
+        lowest_near_m: f64,
+    ) {
+        let is_seen_from_near = f64::from(seen.height_m) > lowest_near_m;
+        if self.is_at_surface(seen, crossing) {
+            let at = self.cell_at(surface.point_m[0], surface.point_m[1]);
+            self.add_camera_obstacle(at, seen.evidence, in_cm(crossing.ray_m));
+        } else if !self.is_behind(surface)
+            || !(is_seen_from_near || self.is_through(surface, crossing))
+        {
+            self.add_cell(seen);
         }
     }
 
@@ -84,13 +93,16 @@ impl OccupancyGrid {
         Crossing { factor, ray_m }
     }
 
+    /// Whether a place is so far behind a surface that noise does not explain it.
+    fn is_behind(&self, surface: &Surface) -> bool {
+        surface.behind_m > f64::from(self.config.behind_hit_m)
+    }
+
     /// Whether an obstacle is as far away as the surface, within the error that the confidence of its depth admits.
     fn is_at_surface(&self, seen: &FrameCell, crossing: &Crossing) -> bool {
         let confidence = seen.evidence / self.config.occupied_increment;
         let factor = crossing.factor.max(crossing.factor.recip()) as f32;
-        seen.evidence > 0.0
-            && factor.is_finite()
-            && !is_larger(factor, confidence, log_error(self.config.apart_certainty))
+        factor.is_finite() && !is_larger(factor, confidence, log_error(self.config.apart_certainty))
     }
 
     /// Whether the ray goes through an obstacle that the map holds at the surface.

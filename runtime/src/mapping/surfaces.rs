@@ -101,8 +101,11 @@ fn surface_m(scan: &LaserScan, beam: usize) -> Option<f32> {
             hits += 1;
         }
     }
+    if (hits as f64) < LEAST_HITS * f64::from(looked_at) {
+        return None;
+    }
     let (_, median_m, _) = hits_m[..hits].select_nth_unstable_by(hits / 2, f32::total_cmp);
-    (hits as f64 >= LEAST_HITS * f64::from(looked_at)).then_some(*median_m)
+    Some(*median_m)
 }
 
 fn hit_m(scan: &LaserScan, beam: usize, offset: isize, is_round: bool) -> Option<f32> {

@@ -117,6 +117,16 @@ fn state_behind_the_box(solid: Solid) -> CellState {
 }
 
 #[test]
+fn a_lone_echo_is_no_surface_at_any_distance() {
+    for range_m in [0.02, 0.1, 0.3, 1.0, 5.0] {
+        let echo = scan_of(ScanGeometry::UTM_30LX, |beam, _, _| {
+            if beam == 540 { Range::Hit(range_m) } else { Range::NoReturn }
+        });
+        assert_eq!(surfaces_of(&echo).toward([6.0, 0.0]), None, "{range_m}");
+    }
+}
+
+#[test]
 fn a_beam_that_is_lost_now_and_then_makes_no_hole_in_the_wall() {
     let holes = scan_of(ScanGeometry::UTM_30LX, |beam, _, range_m| {
         if beam % 7 == 0 { Range::NoReturn } else { Range::Hit(range_m) }
