@@ -26,7 +26,7 @@ pub const CONFIG: &str = "\
 /// The drive that models are judged by. It shows enough places that a model which is as good as another one is shown to be so; the
 /// 4 to 11 places of drives through the smaller apartment were too few.
 const DRIVE: [&str; 8] =
-    ["--scene", "builtin:house?seed=1", "--policy", "active", "--frames", "3000", "--seed", "3"];
+    ["--scene", "builtin:house?seed=1", "--policy", "active", "--frames", "4000", "--seed", "3"];
 
 pub fn binary() -> PathBuf {
     assert_cmd::cargo::cargo_bin!("firmware-host").to_owned()
