@@ -86,8 +86,9 @@ hal::settings! {
         /// camera but low obstacles, which leave the image when the robot comes near, and these only if the map holds nothing at
         /// the surface that would hide them. 20: they take everything. Without effect if `lidar` is "off".
         behind_hit_m: f32 = 0.1, in 0.05..=20.0, unit "m", source "noise of ranges and poses, and one cell";
-        /// Probability with which a camera obstacle must be nearer or further than such a surface, by the confidence of its
-        /// depth. With less it is marked at the surface; 0: always where the camera shows it. Without effect if `lidar` is "off".
+        /// Probability with which a camera obstacle must be nearer or further than a surface that the LiDAR measures, by the
+        /// confidence of its depth. With less it is marked at the surface; 0: always where the camera shows it. Without effect if
+        /// `lidar` is "off".
         apart_certainty: f32 = 0.5, in 0.0..=0.999,
             source "rooms with plain walls: 11 % of the cells off by 10 cm with 0, 7 % with 0.5 and with 0.7";
         /// Width of the obstacle that a collision puts into the map.
