@@ -189,16 +189,7 @@ impl Robot {
             vec!["explore", "--frames", frames, "--seed", "2", "--config", &config, "--out", &out];
         args.extend(["--model-store", &store]);
         args.extend(if more.is_empty() {
-            &[
-                "--scene",
-                "builtin:house?seed=1",
-                "--policy",
-                "frontier",
-                "--frames",
-                "3000",
-                "--seed",
-                "3",
-            ][..]
+            &["--scene", "builtin:apartment?seed=1"][..]
         } else {
             more
         });
