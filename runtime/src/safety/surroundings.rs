@@ -315,6 +315,23 @@ pub(super) mod tests {
         })
     }
 
+    #[test]
+    fn only_scanners_with_more_than_half_a_degree_between_beams_need_a_second_scan() {
+        let every_deg = |degrees: f64| ScanGeometry {
+            angle_increment_rad: degrees.to_radians(),
+            ..ScanGeometry::UTM_30LX
+        };
+        assert!(!needs_second_scan(&every_deg(0.5)), "exactly half a degree");
+        // 720 beams a rotation, as a driver computes it.
+        let rounded = ScanGeometry {
+            angle_increment_rad: std::f64::consts::TAU / 720.0 + 1e-12,
+            ..ScanGeometry::UTM_30LX
+        };
+        assert!(!needs_second_scan(&rounded));
+        assert!(needs_second_scan(&every_deg(0.501)));
+        assert!(needs_second_scan(&every_deg(1.0)));
+    }
+
     fn with_laser_at(t_base_laser: Pose2) -> SafetyConfig {
         SafetyConfig { t_base_laser, ..SafetyConfig::default() }
     }
