@@ -564,6 +564,19 @@ fn while_the_planner_hangs_the_robot_stands_and_sigterm_releases_the_motors() {
 }
 
 #[test]
+fn dirt_before_the_scanner_stops_the_robot_until_it_is_gone() {
+    let mut scene = Scene::with(Protocol::Odrive, "", &["--fault", "lidar:dirt=67@8..20"]);
+    scene.drives_first();
+    scene.wait("dirt", |scene| scene.status().is_some_and(|status| status.uptime_s > 9.0));
+    let (_, before_m) = scene.world.home().score();
+    pause(4000);
+    let gone_m = scene.world.home().score().1 - before_m;
+    assert!(gone_m < 0.02, "{gone_m} m in 4 s behind dirt");
+    scene.drives("driving after the dirt was wiped off");
+    scene.ends_well();
+}
+
+#[test]
 fn sigterm_and_sighup_leave_the_motors_idle_and_not_in_a_fault_of_their_watchdogs() {
     for (protocol, signal) in [(Protocol::Odrive, Signal::TERM), (Protocol::Cia402, Signal::HUP)] {
         let mut scene = Scene::new(protocol);

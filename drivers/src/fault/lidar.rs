@@ -38,6 +38,14 @@ impl<L: Lidar> FaultyLidar<L> {
         if self.injector.active(Kind::Blind).is_some() {
             scan.ranges.fill(Range::NoReturn);
         }
+        if let Some(fault) = self.injector.active(Kind::Dirt) {
+            let half_rad = fault.amount().to_radians();
+            for (beam, range) in scan.ranges.iter_mut().enumerate() {
+                if hal::wrap_angle(scan.geometry.angle_rad(beam)).abs() <= half_rad {
+                    *range = Range::Error;
+                }
+            }
+        }
         let min_m = scan.geometry.range_min_m;
         let max_m = scan.geometry.range_max_m;
         for kind in [Kind::Error, Kind::Ghost, Kind::Corrupt] {

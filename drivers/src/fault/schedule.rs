@@ -45,6 +45,8 @@ pub enum Kind {
     Error,
     /// No beam has an echo.
     Blind,
+    /// The beams within a number of degrees of the scanner's front report an error, as with dirt, tape or a hand on its window.
+    Dirt,
     /// A share of the beams reports an obstacle at 0.15 m that does not exist.
     Ghost,
     /// The odometry is NaN, as with a broken encoder.
@@ -68,6 +70,7 @@ pub(super) enum Amount {
     Share,
     Readings,
     Metres,
+    Degrees,
     Milliseconds,
 }
 
@@ -99,7 +102,7 @@ pub fn kinds_of(device: Device) -> &'static [Kind] {
             &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Black, White, Resize]
         }
         Device::Lidar => {
-            &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Error, Blind, Ghost]
+            &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Error, Blind, Dirt, Ghost]
         }
         Device::Base => {
             &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Nan, Jump, Contact]
@@ -125,6 +128,7 @@ impl Kind {
             Self::Resize => "resize",
             Self::Error => "error",
             Self::Blind => "blind",
+            Self::Dirt => "dirt",
             Self::Ghost => "ghost",
             Self::Nan => "nan",
             Self::Jump => "jump",
@@ -144,6 +148,7 @@ impl Kind {
             | Self::Ghost => Amount::Share,
             Self::Delay => Amount::Readings,
             Self::Jump => Amount::Metres,
+            Self::Dirt => Amount::Degrees,
             Self::Slow => Amount::Milliseconds,
             _ => Amount::None,
         }
@@ -158,6 +163,7 @@ impl Amount {
             Self::Share => "a share above 0 and up to 1",
             Self::Readings => "a whole number of readings from 1 to 50",
             Self::Metres => "a distance in metres other than 0",
+            Self::Degrees => "degrees above 0 and up to 180",
             Self::Milliseconds => "milliseconds above 0 and up to 10000",
         }
     }
@@ -168,15 +174,17 @@ impl Amount {
             Self::Share => amount > 0.0 && amount <= 1.0,
             Self::Readings => amount.fract() == 0.0 && (1.0..=MAX_DELAY).contains(&amount),
             Self::Metres => amount.is_finite() && amount != 0.0,
+            Self::Degrees => amount > 0.0 && amount <= 180.0,
             Self::Milliseconds => amount > 0.0 && amount <= MAX_SLOW_MS,
         }
     }
 
-    /// The amount when the text gives none: every reading, three readings, one metre, 50 ms.
+    /// The amount when the text gives none: every reading, three readings, one metre, 45 degrees to each side, 50 ms.
     fn default_amount(self) -> f64 {
         match self {
             Self::None | Self::Share | Self::Metres => 1.0,
             Self::Readings => 3.0,
+            Self::Degrees => 45.0,
             Self::Milliseconds => 50.0,
         }
     }
@@ -195,7 +203,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// The amount: a share, a number of readings, metres or milliseconds, depending on the kind.
+    /// The amount: a share, a number of readings, metres, degrees or milliseconds, depending on the kind.
     #[must_use]
     pub fn amount(&self) -> f64 {
         self.amount.unwrap_or_else(|| self.kind.unit().default_amount())

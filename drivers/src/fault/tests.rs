@@ -253,6 +253,16 @@ fn the_given_share_of_beams_is_corrupted_and_stays_within_the_scanners_range() {
     }
 }
 
+#[test]
+fn dirt_makes_errors_of_the_beams_within_its_angle_of_the_front_and_of_no_other() {
+    let scan = one_scan("lidar:dirt=67");
+    for (beam, range) in scan.ranges.iter().enumerate() {
+        let is_in_front = scan.geometry.angle_rad(beam).abs() <= 67_f64.to_radians();
+        let expected = if is_in_front { Range::Error } else { Range::Hit(3.0) };
+        assert_eq!(*range, expected, "beam {beam}");
+    }
+}
+
 fn one_frame(text: &str) -> Frame {
     let (faults, time) = faults(&[text], 3);
     let mut frame = Frame::empty();
@@ -353,6 +363,8 @@ fn a_text_that_is_no_fault_is_refused_with_the_possible_ones() {
         ("camera:drop=nan", "a share above 0 and up to 1"),
         ("camera:delay=1.5", "a whole number of readings from 1 to 50"),
         ("base:jump=inf", "a distance in metres"),
+        ("lidar:dirt=200", "degrees above 0 and up to 180"),
+        ("lidar:dirt=nan", "degrees above 0 and up to 180"),
         ("disk:slow=-1", "milliseconds"),
         ("lidar:stall@6..4", "`@6..4` is not a time window"),
         ("lidar:stall@4", "@4..6, @4.. or @..6"),
@@ -413,11 +425,11 @@ fn amounts_are_printed_and_the_default_ones_are_as_documented() {
         assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
     }
     assert_eq!(
-        ["lidar:drop", "camera:delay", "base:jump", "clock:slow"].map(|text| text
+        ["lidar:drop", "camera:delay", "base:jump", "lidar:dirt", "clock:slow"].map(|text| text
             .parse::<Fault>()
             .unwrap()
             .amount()
             .to_string()),
-        ["1", "3", "1", "50"]
+        ["1", "3", "1", "45", "50"]
     );
 }

@@ -1,5 +1,5 @@
 //! Obstacles near the robot that a depth map loses. The LiDAR's returns enter the image of a level
-//! camera only from some distance on (2.07 m with the default mounts), but the map marks and clears
+//! camera only from some distance on (about 1 m with the default mounts), but the map marks and clears
 //! only near the robot. What the robot can measure there is coarse depth: it is triangulated from
 //! known motion without a network, so no network can change it.
 //!
