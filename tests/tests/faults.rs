@@ -74,8 +74,9 @@ fn dirt_before_the_scanner_stops_the_robot_within_15_centimetres_and_it_goes_on_
         let ticks = run(PolicyKind::Forward, &[fault], 120);
         assert!(path_m(at(&ticks, 1.0..4.0)) > 0.3, "{fault}: it drives before");
         assert!(path_m(at(&ticks, 4.0..7.0)) < 0.15, "{fault}: it drives unseen floor");
-        let standing = at(&ticks, 4.7..7.0);
-        assert!(standing.iter().all(|tick| tick.command().linear_mps == 0.0), "{fault}");
+        // It rotates to look elsewhere, and may have to back off from what it then has beside it.
+        let blind = at(&ticks, 4.4..7.0);
+        assert!(blind.iter().all(|tick| tick.command().linear_mps <= 0.0), "{fault}: forward");
         assert!(
             events(&ticks).any(|event| *event == Event::Safety { what: SafetyEvent::ViewLost }),
             "{fault}: it does not say why"
