@@ -541,7 +541,7 @@ fn a_program_that_was_stopped_for_three_seconds_stands_when_it_continues() {
 }
 
 #[test]
-fn while_the_planner_hangs_the_robot_stands_and_sigterm_releases_the_motors() {
+fn while_the_planner_hangs_the_robot_stands_sigusr2_stops_it_and_sigterm_releases_the_motors() {
     // Each tick of the exploration loop comes 4 s late.
     let mut scene =
         Scene::with(Protocol::Odrive, "", &["--fault", "clock:slow=4000@8..600", "--no-recording"]);
@@ -555,6 +555,13 @@ fn while_the_planner_hangs_the_robot_stands_and_sigterm_releases_the_motors() {
     pause(8000);
     let gone_m = scene.world.home().score().1 - before_m;
     assert!(gone_m < 0.5, "{gone_m} m in 8 s without a planner");
+    scene.signal(Signal::USR2);
+    pause(500);
+    let (_, before_m) = scene.world.home().score();
+    pause(5000);
+    let gone_m = scene.world.home().score().1 - before_m;
+    assert!(gone_m < 0.02, "{gone_m} m after an emergency stop");
+    scene.state_is("fault: the emergency stop is pressed");
     scene.signal(Signal::TERM);
     pause(1500);
     let wheels = scene.world.wheels();
