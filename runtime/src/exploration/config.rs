@@ -58,14 +58,16 @@ impl PolicyKind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GoalChoice {
-    /// Prefers frontiers that are near, large and ahead of the robot.
+    /// Prefers the frontier from which most unknown floor might be seen for every metre of path to it.
     #[default]
+    Unseen,
+    /// Prefers frontiers that are near, long and ahead of the robot.
     Nearest,
     /// Chooses at random, with a probability proportional to the distance (the paper's released code).
     Paper,
 }
 
-hal::choices!(GoalChoice: "nearest", "paper");
+hal::choices!(GoalChoice: "unseen", "nearest", "paper");
 
 hal::settings! {
     /// How the goal-driven policies choose goals and give them up.
@@ -80,9 +82,9 @@ hal::settings! {
         inconsistency_frames: u64 = 400, in 1..=1000000, unit "frames", source "paper";
         /// Frames between the two observations whose disagreement is a goal.
         inconsistency_gap: usize = 5, in 1..=1000, unit "frames", source "paper's code";
-        /// Which frontier becomes the goal: a near, large one ahead of the robot (`nearest`), or one at random, distant ones
-        /// more often (`paper`).
-        goal_choice: GoalChoice = GoalChoice::Nearest;
+        /// Which frontier becomes the goal: the one from which most unknown floor might be seen for every metre of path (`unseen`), a near,
+        /// long one ahead of the robot (`nearest`), or one at random, distant ones more often (`paper`).
+        goal_choice: GoalChoice = GoalChoice::Unseen;
         /// A goal is reached within this distance.
         goal_reached_m: f64 = 0.25, in 0.05..=5.0, unit "m";
         /// A goal is given up if the robot has not come nearer to it for this long.

@@ -117,7 +117,13 @@ mod tests {
     use super::*;
 
     fn frontier(x_m: f64, travel_m: Option<f64>) -> Candidate {
-        Candidate { target_m: [x_m, 0.0], interest_m: [x_m, 0.0], size_m: 1.0, travel_m }
+        Candidate {
+            target_m: [x_m, 0.0],
+            interest_m: [x_m, 0.0],
+            size_m: 1.0,
+            unseen_m2: 1.0,
+            travel_m,
+        }
     }
 
     fn goal(x_m: f64, why: GoalReason) -> Goal {

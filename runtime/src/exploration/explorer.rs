@@ -387,7 +387,8 @@ impl Explorer {
             }
         };
         let radius_m = self.config.blacklist_radius_m;
-        *is_open = self.ending.any_open(&survey.frontiers(), radius_m);
+        let frontiers = survey.frontiers();
+        *is_open = self.ending.any_open(&frontiers, radius_m);
         let kinds: &[GoalReason] = match (self.kind, self.mode) {
             (PolicyKind::Frontier, _) => &[GoalReason::Frontier],
             (_, GoalReason::Inconsistency) => &[GoalReason::Inconsistency, GoalReason::Frontier],
@@ -406,7 +407,7 @@ impl Explorer {
                     (largest.into_iter().collect(), NoGoalReason::NoInconsistency)
                 }
                 (GoalReason::Inconsistency, None) => (Vec::new(), NoGoalReason::NoInconsistency),
-                _ => (survey.frontiers(), NoGoalReason::NoFrontier),
+                _ => (frontiers.clone(), NoGoalReason::NoFrontier),
             };
             match choose::select_best(
                 &candidates,

@@ -11,6 +11,7 @@
 //! | `explorer.rs` | what is the next step of this policy? |
 //! | `navigator.rs` | which places can be reached, and what is the path to a place? |
 //! | `choose.rs` | which candidate is the best goal? |
+//! | `unseen.rs` | how much unknown floor might be seen from a place? |
 //! | `goal.rs` | is the robot making progress towards its goal? |
 //! | `blacklist.rs` | which places were given up recently? |
 //! | `ending.rs` | has all floor that can be reached been seen? |
@@ -28,6 +29,7 @@ mod errand_tests;
 mod explorer;
 mod goal;
 mod navigator;
+mod unseen;
 
 pub use blacklist::Blacklist;
 pub use blind::BlindPolicy;

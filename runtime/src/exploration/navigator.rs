@@ -6,6 +6,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::blacklist::distance_m;
 use super::choose::Candidate;
+use super::unseen::unseen_m2;
 use crate::mapping::{
     Cell, CellState, Frontier, FrontierFinder, OccupancyGrid, SingleFrameMap, inconsistencies,
 };
@@ -45,6 +46,7 @@ pub(super) struct Survey<'a> {
     reach: Reach<'a>,
     frontiers: &'a [Frontier],
     keep_out: &'a KeepOut,
+    map: &'a OccupancyGrid,
     cell_m: f64,
 }
 
@@ -60,12 +62,12 @@ impl Navigator {
 
     /// Computes the costmap, the frontiers and the distance to every reachable cell. Occupied cells
     /// with at most `doubtful_log_odds` count as unknown.
-    pub(super) fn survey(
-        &mut self,
-        map: &OccupancyGrid,
+    pub(super) fn survey<'a>(
+        &'a mut self,
+        map: &'a OccupancyGrid,
         pose: &Pose2,
         doubtful_log_odds: f32,
-    ) -> Result<Survey<'_>, NoPath> {
+    ) -> Result<Survey<'a>, NoPath> {
         self.costmap.update_with_doubt(map, doubtful_log_odds);
         self.finder.find(map, FrontierFinder::MIN_CELLS, &mut self.frontiers);
         let start = map.cell_at(pose.x_m, pose.y_m);
@@ -74,6 +76,7 @@ impl Navigator {
             reach,
             frontiers: &self.frontiers,
             keep_out: self.costmap.keep_out(),
+            map,
             cell_m: map.cell_m(),
         })
     }
@@ -152,11 +155,14 @@ impl Survey<'_> {
             })
             .map(|frontier| {
                 let approach = self.reach.nearest(frontier.approach, APPROACH_RADIUS_M);
+                let travel_m = approach.and_then(|cell| self.reach.distance_m(cell));
+                let seen_from_m = frontier.approach.center_m(self.cell_m);
                 Candidate {
                     target_m: approach.unwrap_or(frontier.approach).center_m(self.cell_m),
                     interest_m: place_of(frontier, self.cell_m),
                     size_m: frontier.cells as f64 * self.cell_m,
-                    travel_m: approach.and_then(|cell| self.reach.distance_m(cell)),
+                    unseen_m2: travel_m.map_or(0.0, |_| unseen_m2(self.map, seen_from_m)),
+                    travel_m,
                 }
             })
             .collect()
@@ -179,6 +185,7 @@ impl Survey<'_> {
                     target_m: viewpoint.unwrap_or(cell).center_m(self.cell_m),
                     interest_m: place.centroid_m,
                     size_m: place.cells as f64 * self.cell_m,
+                    unseen_m2: 0.0,
                     travel_m: viewpoint.and_then(|cell| self.reach.distance_m(cell)),
                 }
             })

@@ -395,14 +395,21 @@ impl OccupancyGrid {
         self.window.row(&self.stored, y, min_x, width)
     }
 
-    /// Writes `value` into those of `values`, a [`row`](Self::row), whose cells hold a drop.
-    pub(crate) fn write_drops(&self, y: i32, min_x: i32, value: f32, values: &mut [f32]) {
-        let (left, right) = self.window.row(&self.top_cm, y, min_x, values.len());
-        for (cell, top_cm) in values.iter_mut().zip(left.iter().chain(right)) {
-            if *cell > 0.0 && *top_cm == DROP_CM {
-                *cell = value;
-            }
+    /// Which cells of a [`row`](Self::row) hold a drop; `None` if none does.
+    pub(crate) fn drops_in_row(
+        &self,
+        y: i32,
+        min_x: i32,
+        width: usize,
+    ) -> Option<impl Iterator<Item = bool> + '_> {
+        let (left, right) = self.window.row(&self.top_cm, y, min_x, width);
+        if !(left.contains(&DROP_CM) || right.contains(&DROP_CM)) {
+            return None;
         }
+        let tops = left.iter().chain(right);
+        let (left, right) = self.row(y, min_x, width);
+        let values = left.iter().chain(right);
+        Some(values.zip(tops).map(|(stored, top_cm)| *stored > 0.0 && *top_cm == DROP_CM))
     }
 
     /// The value in [`row`](Self::row) that corresponds to these log-odds.

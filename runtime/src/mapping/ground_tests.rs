@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use super::tests::{camera, mount};
 use super::*;
 use crate::perception::DepthEstimate;
-use crate::planning::{Costmap, PlanConfig};
+use crate::planning::{Costmap, PlanConfig, Planner};
 
 /// A window that reaches beyond the stairs.
 fn wide() -> MapConfig {
@@ -79,13 +79,17 @@ fn observe_depth(
     grid.finish_update();
 }
 
-/// A map after a robot has driven 0.6 m towards the stairs.
-fn map_of_stairs() -> OccupancyGrid {
+/// A map after a robot has driven 0.6 m towards a shaft.
+fn map_of(shaft: &Shaft) -> OccupancyGrid {
     let mut grid = OccupancyGrid::new(&wide()).unwrap();
     for step in 0..20 {
-        observe(&mut grid, Some(&STAIRS), &Pose2::new(f64::from(step) * 0.03 - 0.3, 0.0, 0.0));
+        observe(&mut grid, Some(shaft), &Pose2::new(f64::from(step) * 0.03 - 0.3, 0.0, 0.0));
     }
     grid
+}
+
+fn map_of_stairs() -> OccupancyGrid {
+    map_of(&STAIRS)
 }
 
 fn occupied(grid: &OccupancyGrid) -> Vec<[f64; 2]> {
@@ -121,6 +125,81 @@ fn however_doubtful_obstacles_may_be_no_path_leads_over_stairs() {
     assert!(!edge.is_empty());
     for [x_m, y_m] in edge {
         assert_eq!(costmap.weight(grid.cell_at(x_m, y_m)), None, "({x_m}, {y_m})");
+    }
+}
+
+/// Distance to the nearest of some places, metres.
+fn to_nearest_m(places: &[[f64; 2]], [x_m, y_m]: [f64; 2]) -> f64 {
+    places.iter().map(|at| (at[0] - x_m).hypot(at[1] - y_m)).fold(f64::INFINITY, f64::min)
+}
+
+/// The drops in the middle of 5 x 5 drops.
+fn middles(grid: &OccupancyGrid) -> Vec<[f64; 2]> {
+    let is_drop = |cell: Cell| grid.log_odds(cell) > 0.0;
+    let mut drops: Vec<Cell> = grid.known_cells().map(|(cell, _)| cell).collect();
+    drops.retain(|cell| (-2..=2).all(|dy| (-2..=2).all(|dx| is_drop(cell.offset(dx, dy)))));
+    drops.into_iter().map(|cell| grid.center_m(cell)).collect()
+}
+
+#[test]
+fn the_planner_keeps_its_margin_from_stairs_in_addition_to_that_from_obstacles() {
+    let grid = map_of_stairs();
+    let drops = occupied(&grid);
+    let stairs = middles(&grid);
+    assert!(!stairs.is_empty());
+    for drop_margin_m in [0.0, 0.2, 0.3] {
+        let config = PlanConfig { drop_margin_m, ..PlanConfig::default() };
+        let obstacle_m = config.footprint_radius_m + config.margin_m;
+        let stairs_m = obstacle_m + drop_margin_m + 2.0 * grid.cell_m();
+        let mut costmap = Costmap::new(&config).unwrap();
+        for doubtful_log_odds in [0.0, 1000.0] {
+            costmap.update_with_doubt(&grid, doubtful_log_odds);
+            let free = grid.known_cells().filter(|(_, log_odds)| *log_odds < 0.0);
+            for (cell, _) in free {
+                let at = grid.center_m(cell);
+                let spare_m = (to_nearest_m(&drops, at) - obstacle_m)
+                    .min(to_nearest_m(&stairs, at) - stairs_m);
+                if spare_m.abs() > grid.cell_m() {
+                    assert_eq!(costmap.is_passable(cell), spare_m > 0.0, "{spare_m} m to spare");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn drops_that_are_too_narrow_for_stairs_are_like_other_obstacles_to_the_planner() {
+    let grid = map_of(&Shaft { y_m: [-0.03, 0.03], ..STAIRS });
+    let drops = occupied(&grid);
+    assert!(!drops.is_empty() && middles(&grid).is_empty());
+    let config = PlanConfig::default();
+    let obstacle_m = config.footprint_radius_m + config.margin_m;
+    let mut costmap = Costmap::new(&config).unwrap();
+    costmap.update(&grid);
+    let free = grid.known_cells().filter(|(_, log_odds)| *log_odds < 0.0);
+    let centers = free.map(|(cell, _)| (cell, to_nearest_m(&drops, grid.center_m(cell))));
+    for (cell, away_m) in centers.filter(|(_, away_m)| *away_m > obstacle_m + grid.cell_m()) {
+        assert!(costmap.is_passable(cell), "{away_m} m away");
+    }
+}
+
+#[test]
+fn a_robot_that_notices_stairs_beside_it_drives_away_from_them_first() {
+    let grid = map_of_stairs();
+    let drops = occupied(&grid);
+    let mut costmap = Costmap::new(&PlanConfig::default()).unwrap();
+    costmap.update(&grid);
+    let mut planner = Planner::new(1_000_000);
+    for start_m in [[2.7, 0.0], [2.9, 0.3], [2.95, -0.5], [2.97, 0.0]] {
+        let start = grid.cell_at(start_m[0], start_m[1]);
+        assert!(!costmap.is_passable(start));
+        let path = planner.plan(&costmap, start, grid.cell_at(1.0, 0.0)).unwrap();
+        let away_m: Vec<f64> =
+            path.iter().map(|cell| to_nearest_m(&drops, grid.center_m(*cell))).collect();
+        for pair in away_m.windows(2).take_while(|pair| pair[0] < 0.46) {
+            assert!(pair[1] > pair[0] - 1.5 * grid.cell_m(), "{away_m:?} from {start_m:?}");
+        }
+        assert!(away_m.iter().all(|away_m| *away_m > 0.0), "{away_m:?} from {start_m:?}");
     }
 }
 

@@ -26,6 +26,8 @@ hal::settings! {
     pub struct PlanningSection {
         /// The planner keeps this distance between the footprint and obstacles.
         margin_m: f64 = 0.02, in 0.0..=0.5, unit "m";
+        /// The planner keeps this distance in addition from stairs down: drops that fill at least 5 x 5 cells. No other sensor sees them.
+        drop_margin_m: f64 = 0.3, in 0.0..=0.5, unit "m", source "a tread, the first of which the depth does not always show";
         /// Driving costs more where the robot's centre is nearer to an obstacle than this. Choose about 0.25 m more than the radius
         /// of the footprint.
         inflation_radius_m: f64 = 0.4, in 0.0..=1.0, unit "m", source "table tops seem up to 5 cm smaller than they are";
@@ -66,6 +68,7 @@ impl PlanningSection {
         PlanConfig {
             footprint_radius_m: robot.footprint_radius_m,
             margin_m: self.margin_m,
+            drop_margin_m: self.drop_margin_m,
             inflation_radius_m: self.inflation_radius_m,
             inflation_cost: self.inflation_cost,
             unknown_cost: self.unknown_cost,
@@ -98,6 +101,7 @@ pub struct PlanConfig {
     /// Radius of the circle that the planner keeps free of obstacles.
     pub footprint_radius_m: f64,
     pub margin_m: f64,
+    pub drop_margin_m: f64,
     pub inflation_radius_m: f64,
     pub inflation_cost: f64,
     pub unknown_cost: f64,
@@ -129,6 +133,7 @@ impl PlanConfig {
         }
         let section = PlanningSection {
             margin_m: self.margin_m,
+            drop_margin_m: self.drop_margin_m,
             inflation_radius_m: self.inflation_radius_m,
             inflation_cost: self.inflation_cost,
             unknown_cost: self.unknown_cost,

@@ -18,6 +18,9 @@ pub(super) const BLOCKED: u8 = 0;
 /// than that of the cell. A path that drives straight along the row (column) has no reason to leave
 /// it there. Both flags are set where all 9 weights are equal.
 pub(super) const LEVEL: [u8; 2] = [0x80, 0x40];
+/// Drops are stairs where they fill a square of cells that reaches this far on each side of the middle one. Single cells and thin rows
+/// of drops are mostly errors of the depth, and a margin around them would close passages.
+const STAIRS_CELLS: usize = 2;
 /// The bits of the weight without the flags.
 pub(super) const WEIGHT: u8 = 0x3f;
 
@@ -38,11 +41,16 @@ pub struct Costmap {
     /// Squared distance to the nearest obstacle, in cells.
     clearance2: Vec<u16>,
     distances: Distances,
-    /// Buffer for one row of the map.
+    drop_distances: Distances,
+    /// Buffers for one row: values of the map, and squared distances to drops.
     row_values: Vec<f32>,
+    row_drops: Vec<u16>,
+    all_drops: Vec<bool>,
     /// Weights of a free and of an unknown cell, indexed by the squared distance to the nearest
     /// obstacle.
     tables: [Vec<u8>; 2],
+    /// The squared distance to an obstacle that a squared distance to a drop counts as, in cells.
+    drop_table: Vec<u16>,
 }
 
 impl Costmap {
@@ -62,8 +70,12 @@ impl Costmap {
             levels: Vec::new(),
             clearance2: Vec::new(),
             distances: Distances::default(),
+            drop_distances: Distances::default(),
             row_values: Vec::new(),
+            row_drops: Vec::new(),
+            all_drops: Vec::new(),
             tables: [Vec::new(), Vec::new()],
+            drop_table: Vec::new(),
         };
         costmap.reset(CellBox::of(Cell::default()), 1.0);
         Ok(costmap)
@@ -87,8 +99,12 @@ impl Costmap {
             levels: Vec::new(),
             clearance2: Vec::new(),
             distances: Distances::default(),
+            drop_distances: Distances::default(),
             row_values: Vec::new(),
+            row_drops: Vec::new(),
+            all_drops: Vec::new(),
             tables: [Vec::new(), Vec::new()],
+            drop_table: Vec::new(),
         };
         costmap.reset(cells, cell_m);
         for y in cells.min.y..=cells.max.y {
@@ -138,11 +154,21 @@ impl Costmap {
             self.read_row(grid, cells, row, doubtful, &mut values);
             self.distances.set_row(row, values.iter().map(|value| *value > doubtful), reach);
         }
+        let has_stairs = self.find_stairs(grid, cells);
+        let mut near_drops = core::mem::take(&mut self.row_drops);
+        near_drops.resize(width, FAR);
         for row in 0..height {
             self.read_row(grid, cells, row, doubtful, &mut values);
             let start = (row + 1) * self.stride + 1;
             let clearance2 = &mut self.clearance2[start..start + width];
             self.distances.row(row, reach, clearance2);
+            if has_stairs {
+                self.drop_distances.row(row, reach_of(&self.drop_table), &mut near_drops);
+                for (clearance2, drop2) in clearance2.iter_mut().zip(&near_drops) {
+                    let counts = self.drop_table.get(usize::from(*drop2)).unwrap_or(&FAR);
+                    *clearance2 = (*clearance2).min(*counts);
+                }
+            }
             let weights = &mut self.weights[start..start + width];
             for ((weight, clearance2), value) in weights.iter_mut().zip(clearance2).zip(&values) {
                 let is_unknown = *value == 0.0 || (*value > 0.0 && *value <= doubtful);
@@ -151,8 +177,42 @@ impl Costmap {
                 *weight = table[usize::from(*clearance2).min(table.len() - 1)];
             }
         }
+        self.row_drops = near_drops;
         self.row_values = values;
         self.mark_level();
+    }
+
+    /// Looks for stairs in the map: cells around which all cells up to [`STAIRS_CELLS`] away hold drops. Returns whether there are any.
+    fn find_stairs(&mut self, grid: &OccupancyGrid, cells: CellBox) -> bool {
+        let reach = reach_of(&self.drop_table);
+        let width = cells.width();
+        self.drop_distances.reset(width, cells.height());
+        let mut all_drops = core::mem::take(&mut self.all_drops);
+        let mut has_stairs = false;
+        for (row, y) in (cells.min.y..=cells.max.y).enumerate() {
+            all_drops.clear();
+            all_drops.resize(width, true);
+            let around = y - STAIRS_CELLS as i32..=y + STAIRS_CELLS as i32;
+            let is_possible = around.into_iter().all(|near_y| {
+                let drops = grid.drops_in_row(near_y, cells.min.x, width);
+                drops.is_some_and(|drops| {
+                    all_drops.iter_mut().zip(drops).for_each(|(all, drop)| *all &= drop);
+                    true
+                })
+            });
+            if is_possible {
+                let is_stair = |x: usize| {
+                    let window = x.checked_sub(STAIRS_CELLS).map(|left| left..=x + STAIRS_CELLS);
+                    window
+                        .and_then(|window| all_drops.get(window))
+                        .is_some_and(|all| !all.contains(&false))
+                };
+                self.drop_distances.set_row(row, (0..width).map(is_stair), reach);
+                has_stairs = true;
+            }
+        }
+        self.all_drops = all_drops;
+        has_stairs
     }
 
     /// Reads one row of `cells` from the map into `values`. Closed cells, and drops where obstacles count as doubtful, are
@@ -170,8 +230,12 @@ impl Costmap {
         values.clear();
         values.extend_from_slice(left);
         values.extend_from_slice(right);
-        if doubtful > 0.0 {
-            grid.write_drops(y, cells.min.x, f32::INFINITY, values);
+        if doubtful > 0.0
+            && let Some(drops) = grid.drops_in_row(y, cells.min.x, cells.width())
+        {
+            for (value, _) in values.iter_mut().zip(drops).filter(|(_, is_drop)| *is_drop) {
+                *value = f32::INFINITY;
+            }
         }
         self.keep_out.write_row(cells, y, grid.cell_m(), f32::INFINITY, values);
     }
@@ -240,7 +304,26 @@ impl Costmap {
             }
             table.push(quantised(base));
         }
+        self.make_drop_table(hard_m, soft_m);
         reach
+    }
+
+    /// A drop counts as nearer than it is by `drop_margin_m`. Within the distance that is blocked the scale is smaller instead, so
+    /// that a robot which stands there finds the direction away from the drop, and never one over it.
+    fn make_drop_table(&mut self, hard_m: f64, soft_m: f64) {
+        // Distances are those to the middle of a square of drops.
+        let margin_m = self.config.drop_margin_m + STAIRS_CELLS as f64 * self.cell_m;
+        let reach = ((soft_m + margin_m) / self.cell_m).ceil().min(200.0) as u32;
+        let scale = hard_m / (hard_m + margin_m).max(1e-9);
+        self.drop_table.clear();
+        self.drop_table.extend((0..=reach * reach).map(|distance2| {
+            let distance_m = f64::from(distance2).sqrt() * self.cell_m;
+            let counts_m = (distance_m - margin_m).max(distance_m.min(hard_m + margin_m) * scale);
+            let counts2 = (counts_m / self.cell_m).powi(2) as u16;
+            // Beside a drop is not in it.
+            let least = u16::from(distance2 > 0 && hard_m >= self.cell_m);
+            counts2.max(least)
+        }));
     }
 
     #[inline]
@@ -339,6 +422,11 @@ fn quantised(weight: f64) -> u8 {
 
 // All other fields are computed again before they are used.
 remembers!(Costmap: keep_out);
+
+/// The largest distance in a table of squared distances that begins with 0.
+fn reach_of(table: &[u16]) -> u16 {
+    table.len().saturating_sub(1).isqrt() as u16
+}
 
 #[cfg(test)]
 mod tests {
