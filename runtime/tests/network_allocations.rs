@@ -61,12 +61,12 @@ fn a_call_allocates_nothing_but_what_ort_needs_for_its_answer() {
         let mut network = DepthNetwork::load(&environment, &model(name), &camera, options).unwrap();
         let bytes: Vec<u8> = (0..3 * width * height).map(|i| (i * 37 % 256) as u8).collect();
         let coarse = DepthEstimate::none(width, height);
-        let mut way_m = 0.0;
+        let mut x_m = 0.0;
         let allocations = per_call(|| {
             // Far enough for a new keyframe every other call.
-            way_m += 0.04;
+            x_m += 0.04;
             let frame = ImageView::rgb8(width, height, &bytes).unwrap();
-            network.estimate(frame, &Pose3::translation(way_m, 0.0, 0.0), Some(&coarse)).unwrap();
+            network.estimate(frame, &Pose3::translation(x_m, 0.0, 0.0), Some(&coarse)).unwrap();
         });
         assert_eq!(allocations, OF_ORT, "{name}");
     }

@@ -41,9 +41,9 @@ impl Decoder {
                 for (index, point) in packet.points.iter().enumerate() {
                     let clockwise_rad = packet.angle_rad(index);
                     let before_rad = self.last_rad.replace(clockwise_rad);
-                    let starts_turn = before_rad.is_some_and(|before| clockwise_rad < before);
+                    let starts_revolution = before_rad.is_some_and(|before| clockwise_rad < before);
                     let range = range(*point, self.min_confidence);
-                    sink(Event::Sample(Sample { clockwise_rad, range, starts_turn }));
+                    sink(Event::Sample(Sample { clockwise_rad, range, starts_revolution }));
                 }
             }
         }
@@ -103,7 +103,9 @@ mod tests {
         let starts: Vec<usize> = events(&revolution())
             .iter()
             .enumerate()
-            .filter(|(_, event)| matches!(event, Event::Sample(Sample { starts_turn: true, .. })))
+            .filter(|(_, event)| {
+                matches!(event, Event::Sample(Sample { starts_revolution: true, .. }))
+            })
             .map(|(index, _)| index)
             .collect();
         assert_eq!(starts, [450], "450 points of 0.8 degrees");

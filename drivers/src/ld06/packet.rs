@@ -26,7 +26,7 @@ const VERSION_AND_LENGTH: u8 = 0x2c;
 const FIRST_POINT: usize = 6;
 const POINT_BYTES: usize = 3;
 /// A full revolution, hundredths of a degree.
-const TURN: u16 = 36_000;
+const FULL_CIRCLE: u16 = 36_000;
 /// At 13 Hz, the fastest rotation of the data sheet, 11 steps at 4500 points a second are 11.5
 /// degrees.
 const LONGEST_SPAN: u16 = 2_000;
@@ -107,9 +107,9 @@ impl Packet {
     /// Clockwise angle from the first point to the last, hundredths of a degree.
     #[must_use]
     pub fn span_centidegrees(&self) -> u16 {
-        let end = self.end_centidegrees % TURN;
-        let start = self.start_centidegrees % TURN;
-        if end >= start { end - start } else { TURN - start + end }
+        let end = self.end_centidegrees % FULL_CIRCLE;
+        let start = self.start_centidegrees % FULL_CIRCLE;
+        if end >= start { end - start } else { FULL_CIRCLE - start + end }
     }
 
     /// Clockwise angle of a point, radians from 0 to 2 pi. The points are spread evenly.
@@ -117,12 +117,12 @@ impl Packet {
     pub fn angle_rad(&self, point: usize) -> f64 {
         let step = f64::from(self.span_centidegrees()) / (POINTS - 1) as f64;
         let centidegrees = f64::from(self.start_centidegrees) + step * point as f64;
-        (centidegrees % f64::from(TURN) / 100.0).to_radians()
+        (centidegrees % f64::from(FULL_CIRCLE) / 100.0).to_radians()
     }
 
     fn check_angles(&self) -> Result<(), PacketError> {
         for centidegrees in [self.start_centidegrees, self.end_centidegrees] {
-            if centidegrees > TURN {
+            if centidegrees > FULL_CIRCLE {
                 return Err(PacketError::Angle { centidegrees });
             }
         }

@@ -8,11 +8,11 @@ pub const SLOWER: f64 = 1.15;
 const BROKEN: f64 = 1.75;
 /// The rate is measured over this many revolutions, so that a computer that reads one of them late
 /// does not count as a slow motor.
-const TURNS: usize = 4;
+const REVOLUTIONS: usize = 4;
 
 /// What the arrival of a revolution's last measurement says about it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum TurnTime {
+pub enum RevolutionTime {
     /// It is whole, and ended at this time or earlier.
     Whole {
         /// Monotonic nanoseconds.
@@ -29,7 +29,7 @@ pub enum TurnTime {
 
 /// Follows the revolutions of one scanner.
 #[derive(Debug, Clone)]
-pub struct TurnClock {
+pub struct RevolutionClock {
     longest_ns: u64,
     /// Arrivals of the last revolutions, the newest last.
     arrivals_ns: Vec<u64>,
@@ -39,43 +39,43 @@ pub struct TurnClock {
     was_partial: bool,
 }
 
-impl TurnClock {
+impl RevolutionClock {
     /// A clock for a scanner with this nominal period.
     #[must_use]
     pub fn new(period_ns: u64) -> Self {
         Self {
             longest_ns: (SLOWER * period_ns as f64).round() as u64,
-            arrivals_ns: Vec::with_capacity(TURNS + 1),
+            arrivals_ns: Vec::with_capacity(REVOLUTIONS + 1),
             end_ns: 0,
             was_partial: false,
         }
     }
 
     /// Records that a revolution ended, and that its last byte arrived at this time.
-    pub fn end_turn(&mut self, arrival_ns: u64) -> TurnTime {
+    pub fn end_revolution(&mut self, arrival_ns: u64) -> RevolutionTime {
         let Some(before_ns) = self.arrivals_ns.last().copied() else {
             self.restart(arrival_ns);
-            return TurnTime::Partial;
+            return RevolutionTime::Partial;
         };
         let duration_ns = arrival_ns.saturating_sub(before_ns);
         if duration_ns as f64 > BROKEN * self.longest_ns as f64 {
             let is_again = std::mem::replace(&mut self.was_partial, true);
             self.restart(arrival_ns);
             let hz = 1e9 / duration_ns.max(1) as f64;
-            return if is_again { TurnTime::TooSlow { hz } } else { TurnTime::Partial };
+            return if is_again { RevolutionTime::TooSlow { hz } } else { RevolutionTime::Partial };
         }
         self.was_partial = false;
         // A computer that is busy reads late. The revolution itself took no longer than the longest.
         self.end_ns = arrival_ns.min(self.end_ns + self.longest_ns);
-        if self.arrivals_ns.len() > TURNS {
+        if self.arrivals_ns.len() > REVOLUTIONS {
             self.arrivals_ns.remove(0);
         }
         self.arrivals_ns.push(arrival_ns);
         match self.mean_ns() {
             Some(mean_ns) if mean_ns > self.longest_ns => {
-                TurnTime::TooSlow { hz: 1e9 / mean_ns as f64 }
+                RevolutionTime::TooSlow { hz: 1e9 / mean_ns as f64 }
             }
-            _ => TurnTime::Whole { end_ns: self.end_ns },
+            _ => RevolutionTime::Whole { end_ns: self.end_ns },
         }
     }
 
@@ -87,8 +87,9 @@ impl TurnClock {
 
     /// The mean duration of the last revolutions, if there were enough.
     fn mean_ns(&self) -> Option<u64> {
-        let oldest_ns = self.arrivals_ns.first().filter(|_| self.arrivals_ns.len() > TURNS)?;
-        Some((self.arrivals_ns.last()? - oldest_ns) / TURNS as u64)
+        let oldest_ns =
+            self.arrivals_ns.first().filter(|_| self.arrivals_ns.len() > REVOLUTIONS)?;
+        Some((self.arrivals_ns.last()? - oldest_ns) / REVOLUTIONS as u64)
     }
 }
 
@@ -99,13 +100,13 @@ mod tests {
     const MS: u64 = 1_000_000;
     const PERIOD_NS: u64 = 100 * MS;
 
-    fn after(durations_ms: &[u64]) -> Vec<TurnTime> {
-        let mut clock = TurnClock::new(PERIOD_NS);
+    fn after(durations_ms: &[u64]) -> Vec<RevolutionTime> {
+        let mut clock = RevolutionClock::new(PERIOD_NS);
         let mut now_ns = 5_000 * MS;
-        let mut times = vec![clock.end_turn(now_ns)];
+        let mut times = vec![clock.end_revolution(now_ns)];
         for ms in durations_ms {
             now_ns += ms * MS;
-            times.push(clock.end_turn(now_ns));
+            times.push(clock.end_revolution(now_ns));
         }
         times
     }
@@ -113,30 +114,32 @@ mod tests {
     #[test]
     fn the_revolution_in_which_the_scanner_was_switched_on_is_partial() {
         let times = after(&[100]);
-        assert_eq!(times, [TurnTime::Partial, TurnTime::Whole { end_ns: 5_100 * MS }]);
+        assert_eq!(times, [RevolutionTime::Partial, RevolutionTime::Whole { end_ns: 5_100 * MS }]);
     }
 
     #[test]
     fn one_revolution_that_is_read_late_is_neither_slow_nor_newer_than_it_is() {
         let times = after(&[100, 150, 50, 100, 100]);
-        assert_eq!(times[2], TurnTime::Whole { end_ns: 5_215 * MS }, "not 5,250");
-        assert_eq!(times[3], TurnTime::Whole { end_ns: 5_300 * MS });
-        assert!(times[1..].iter().all(|time| matches!(time, TurnTime::Whole { .. })));
+        assert_eq!(times[2], RevolutionTime::Whole { end_ns: 5_215 * MS }, "not 5,250");
+        assert_eq!(times[3], RevolutionTime::Whole { end_ns: 5_300 * MS });
+        assert!(times[1..].iter().all(|time| matches!(time, RevolutionTime::Whole { .. })));
     }
 
     #[test]
     fn a_motor_that_slows_down_by_a_fifth_is_named_with_its_rate() {
         let times = after(&[120; 6]);
-        let Some(TurnTime::TooSlow { hz }) = times.last() else { panic!("{times:?}") };
+        let Some(RevolutionTime::TooSlow { hz }) = times.last() else { panic!("{times:?}") };
         assert!((hz - 8.33).abs() < 0.01, "{hz}");
-        assert!(after(&[110; 20]).iter().all(|time| !matches!(time, TurnTime::TooSlow { .. })));
+        assert!(
+            after(&[110; 20]).iter().all(|time| !matches!(time, RevolutionTime::TooSlow { .. }))
+        );
     }
 
     #[test]
     fn a_revolution_that_took_two_periods_lost_data_and_a_second_one_is_a_slow_motor() {
         let times = after(&[100, 210, 100, 250, 250]);
-        assert_eq!(times[2], TurnTime::Partial);
-        assert!(matches!(times[3], TurnTime::Whole { .. }));
-        assert_eq!(times[4..], [TurnTime::Partial, TurnTime::TooSlow { hz: 4.0 }]);
+        assert_eq!(times[2], RevolutionTime::Partial);
+        assert!(matches!(times[3], RevolutionTime::Whole { .. }));
+        assert_eq!(times[4..], [RevolutionTime::Partial, RevolutionTime::TooSlow { hz: 4.0 }]);
     }
 }

@@ -12,16 +12,16 @@ mod clock;
 mod device;
 mod error;
 mod lidar;
+mod revolution;
 mod sample;
 mod stream;
-mod turn;
 
 pub(crate) use device::Device;
 pub(crate) use lidar::Settings;
 
-pub use clock::{SLOWER, TurnClock, TurnTime};
+pub use clock::{RevolutionClock, RevolutionTime, SLOWER};
 pub use device::WireError;
 pub use error::RotaryError;
 pub use lidar::{Place, RotaryLidar};
+pub use revolution::{Mount, Revolution, circle};
 pub use sample::{Event, Sample};
-pub use turn::{Mount, Turn, circle};

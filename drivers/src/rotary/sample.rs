@@ -9,7 +9,7 @@ pub struct Sample {
     pub clockwise_rad: f64,
     pub range: Range,
     /// Whether it is the first of a new revolution.
-    pub starts_turn: bool,
+    pub starts_revolution: bool,
 }
 
 /// What a codec found in the bytes.

@@ -9,7 +9,7 @@ use triple_buffer::Input;
 
 use super::device::{Device, WireError};
 use super::lidar::Settings;
-use super::{Event, RotaryError, Turn, TurnClock, TurnTime};
+use super::{Event, Revolution, RevolutionClock, RevolutionTime, RotaryError};
 use crate::DeviceState;
 use crate::scanner::{
     BlindError, End, Link, PollError, ReaderEnd, Received, Shared, Stop, keep_trying,
@@ -66,8 +66,8 @@ impl Reader {
             scans: &mut self.scans,
             settings: &self.settings,
             port: &self.port,
-            turn: Turn::new(&self.settings.geometry, self.settings.mount),
-            clock: TurnClock::new(self.settings.geometry.period_ns),
+            revolution: Revolution::new(&self.settings.geometry, self.settings.mount),
+            clock: RevolutionClock::new(self.settings.geometry.period_ns),
             good_in_a_row: 0,
             is_reopened: was_alive,
             data_ns: None,
@@ -84,8 +84,8 @@ struct Publisher<'a> {
     scans: &'a mut Input<LaserScan>,
     settings: &'a Settings,
     port: &'a Arc<str>,
-    turn: Turn,
-    clock: TurnClock,
+    revolution: Revolution,
+    clock: RevolutionClock,
     good_in_a_row: u32,
     is_reopened: bool,
     /// Arrival of the last measurement.
@@ -163,10 +163,10 @@ impl Publisher<'_> {
         match event {
             Event::Sample(sample) => {
                 self.data_ns = Some(arrival_ns);
-                if sample.starts_turn {
-                    self.end_turn(arrival_ns);
+                if sample.starts_revolution {
+                    self.end_revolution(arrival_ns);
                 }
-                self.turn.add(&sample);
+                self.revolution.add(&sample);
             }
             Event::Missing => {
                 self.shared.lost.fetch_add(1, Relaxed);
@@ -186,15 +186,15 @@ impl Publisher<'_> {
         }
     }
 
-    fn end_turn(&mut self, arrival_ns: u64) {
-        self.turn.finish(&mut self.scans.input_buffer_mut().ranges);
-        match self.clock.end_turn(arrival_ns) {
-            TurnTime::Partial => self.good_in_a_row = 0,
-            TurnTime::TooSlow { hz } => {
+    fn end_revolution(&mut self, arrival_ns: u64) {
+        self.revolution.finish(&mut self.scans.input_buffer_mut().ranges);
+        match self.clock.end_revolution(arrival_ns) {
+            RevolutionTime::Partial => self.good_in_a_row = 0,
+            RevolutionTime::TooSlow { hz } => {
                 let expected_hz = 1e9 / self.settings.geometry.period_ns as f64;
                 self.refuse(&RotaryError::TooSlow { port: self.port.clone(), hz, expected_hz });
             }
-            TurnTime::Whole { end_ns } => match self.blind() {
+            RevolutionTime::Whole { end_ns } => match self.blind() {
                 Some(blind) => self.refuse(&blind),
                 None => self.publish(end_ns, arrival_ns),
             },

@@ -18,7 +18,7 @@
 //! The directions of a capsule's measurements are spread evenly up to the first of the next capsule.
 
 use super::AnswerError;
-use super::measurement::TURN_Q6;
+use super::measurement::FULL_CIRCLE_Q6;
 
 /// Length of a capsule, bytes.
 pub const CAPSULE_BYTES: usize = 84;
@@ -82,7 +82,7 @@ impl Capsule {
         }
         let capsule = Self { bytes: *bytes, layout };
         let q6 = capsule.start_angle_q6();
-        if q6 > TURN_Q6 { Err(AnswerError::Angle { q6 }) } else { Ok(capsule) }
+        if q6 > FULL_CIRCLE_Q6 { Err(AnswerError::Angle { q6 }) } else { Ok(capsule) }
     }
 
     /// Makes a capsule from up to 32 or 40 measurements; the others have no distance. Legacy
@@ -214,7 +214,7 @@ mod tests {
             proptest::collection::vec(legacy, 32).prop_map(|cells| (Layout::Legacy, cells)),
             proptest::collection::vec(dense, 40).prop_map(|cells| (Layout::Dense, cells)),
         ];
-        (cells, 0..=TURN_Q6, any::<bool>()).prop_map(|((layout, cells), start, is_new)| {
+        (cells, 0..=FULL_CIRCLE_Q6, any::<bool>()).prop_map(|((layout, cells), start, is_new)| {
             (Capsule::from_cells(layout, start, is_new, &cells), cells)
         })
     }

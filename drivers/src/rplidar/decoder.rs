@@ -7,7 +7,7 @@ use hal::Range;
 use super::capsule::{self, CAPSULE_BYTES, Capsule, Layout};
 use super::descriptor::{self, DESCRIPTOR_BYTES, Descriptor};
 use super::measurement::{self, MEASUREMENT_BYTES, Measurement};
-use super::{AnswerError, TURN_Q6};
+use super::{AnswerError, FULL_CIRCLE_Q6};
 use crate::rotary::{Event, Sample};
 use crate::scanner::FixedFramer;
 
@@ -125,7 +125,7 @@ fn sample_of(measurement: &Measurement, range_m: (f32, f32)) -> Sample {
     Sample {
         clockwise_rad: angle_rad(f64::from(measurement.angle_q6)),
         range,
-        starts_turn: measurement.starts_turn,
+        starts_revolution: measurement.starts_revolution,
     }
 }
 
@@ -177,9 +177,9 @@ impl Capsules {
         let before =
             self.before.replace(capsule).filter(|_| !is_after_noise && !capsule.is_new_scan());
         let Some(before) = before else { return };
-        let turn_q6 = f64::from(TURN_Q6);
+        let full_circle_q6 = f64::from(FULL_CIRCLE_Q6);
         let starts = [&capsule, &before].map(|capsule| f64::from(capsule.start_angle_q6()));
-        let step_q6 = (starts[0] - starts[1]).rem_euclid(turn_q6);
+        let step_q6 = (starts[0] - starts[1]).rem_euclid(full_circle_q6);
         let is_neighbour = self.step_q6.replace(step_q6).is_some_and(|known_q6| {
             step_q6 <= SAME_STEP * known_q6 && known_q6 <= SAME_STEP * step_q6
         });
@@ -198,22 +198,24 @@ impl Capsules {
         range_m: (f32, f32),
         sink: &mut impl FnMut(Event<AnswerError>),
     ) {
-        let turn_q6 = f64::from(TURN_Q6);
+        let full_circle_q6 = f64::from(FULL_CIRCLE_Q6);
         let count = self.layout.measurements();
         for index in 0..count {
             let raw_q6 = (f64::from(capsule.start_angle_q6())
                 + step_q6 * index as f64 / count as f64)
-                .rem_euclid(turn_q6);
+                .rem_euclid(full_circle_q6);
             let cell = capsule.cell(index);
             // Starts of capsules may jitter, so only a fall by half a revolution is its end.
-            let starts_turn =
-                self.last_q6.replace(raw_q6).is_some_and(|last| last - raw_q6 > turn_q6 / 2.0);
+            let starts_revolution = self
+                .last_q6
+                .replace(raw_q6)
+                .is_some_and(|last| last - raw_q6 > full_circle_q6 / 2.0);
             let range = match cell.distance_mm {
                 0 => Range::NoReturn,
                 distance_mm => range(f32::from(distance_mm) / 1000.0, range_m),
             };
             let clockwise_rad = angle_rad(raw_q6 - 8.0 * f64::from(cell.correction_q3));
-            sink(Event::Sample(Sample { clockwise_rad, range, starts_turn }));
+            sink(Event::Sample(Sample { clockwise_rad, range, starts_revolution }));
         }
     }
 }
@@ -273,9 +275,9 @@ mod tests {
         let mut bytes = Descriptor::SCAN.write().to_vec();
         for index in (0..count).filter(|index| !skip(*index)) {
             let angle_q6 = index % 360 * 64;
-            let starts_turn = angle_q6 == 0;
+            let starts_revolution = angle_q6 == 0;
             bytes.extend(
-                Measurement { quality: 15, starts_turn, angle_q6, distance_q2: 4000 }.write(),
+                Measurement { quality: 15, starts_revolution, angle_q6, distance_q2: 4000 }.write(),
             );
         }
         bytes
@@ -329,12 +331,12 @@ mod tests {
     #[test]
     fn revolutions_begin_at_the_zero_in_both_kinds_of_scan() {
         let express = samples(&events(&capsules(80)));
-        let starts = express.iter().filter(|sample| sample.starts_turn).count();
+        let starts = express.iter().filter(|sample| sample.starts_revolution).count();
         assert_eq!(starts, 3);
         let standard = samples(&events(&measurements(1000, |_| false)));
         let starts: Vec<f64> = standard
             .iter()
-            .filter(|sample| sample.starts_turn)
+            .filter(|sample| sample.starts_revolution)
             .map(|sample| sample.clockwise_rad)
             .collect();
         assert_eq!(starts, [0.0; 3]);
@@ -363,7 +365,7 @@ mod tests {
             (15, 48_004, Range::NoReturn),
         ] {
             let measurement =
-                Measurement { quality, starts_turn: false, angle_q6: 64, distance_q2 };
+                Measurement { quality, starts_revolution: false, angle_q6: 64, distance_q2 };
             assert_eq!(sample_of(&measurement, RANGE_M).range, expected, "{distance_q2}");
         }
     }

@@ -15,7 +15,7 @@ use super::AnswerError;
 /// Length of a measurement, bytes.
 pub const MEASUREMENT_BYTES: usize = 5;
 /// A full revolution, 1/64 degree.
-pub(super) const TURN_Q6: u16 = 360 * 64;
+pub(super) const FULL_CIRCLE_Q6: u16 = 360 * 64;
 
 /// A measurement that passed its checks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,7 +23,7 @@ pub struct Measurement {
     /// Strength of the echo, 0 to 63.
     pub quality: u8,
     /// Whether it is the first of a revolution.
-    pub starts_turn: bool,
+    pub starts_revolution: bool,
     /// Clockwise angle, 1/64 degree.
     pub angle_q6: u16,
     /// Distance, 1/4 mm; 0 if nothing was measured.
@@ -47,12 +47,12 @@ impl Measurement {
             return Err(AnswerError::CheckBits { bytes: *bytes });
         }
         let angle_q6 = u16::from_le_bytes([bytes[1], bytes[2]]) >> 1;
-        if angle_q6 > TURN_Q6 {
+        if angle_q6 > FULL_CIRCLE_Q6 {
             return Err(AnswerError::Angle { q6: angle_q6 });
         }
         Ok(Self {
             quality: bytes[0] >> 2,
-            starts_turn: bytes[0] & 1 == 1,
+            starts_revolution: bytes[0] & 1 == 1,
             angle_q6,
             distance_q2: u16::from_le_bytes([bytes[3], bytes[4]]),
         })
@@ -61,7 +61,7 @@ impl Measurement {
     /// Writes the measurement as the scanner sends it.
     #[must_use]
     pub fn write(&self) -> [u8; MEASUREMENT_BYTES] {
-        let start = if self.starts_turn { 1 } else { 2 };
+        let start = if self.starts_revolution { 1 } else { 2 };
         let [low, high] = ((self.angle_q6 << 1) | 1).to_le_bytes();
         let [near, far] = self.distance_q2.to_le_bytes();
         [(self.quality << 2) | start, low, high, near, far]
@@ -80,7 +80,7 @@ mod tests {
         let measurement = Measurement::read(&bytes).unwrap();
         assert_eq!(
             measurement,
-            Measurement { quality: 15, starts_turn: true, angle_q6: 5792, distance_q2: 4937 }
+            Measurement { quality: 15, starts_revolution: true, angle_q6: 5792, distance_q2: 4937 }
         );
         assert_eq!(measurement.write(), bytes);
     }
@@ -91,7 +91,7 @@ mod tests {
             assert_eq!(Measurement::read(&bytes), Err(AnswerError::CheckBits { bytes }));
         }
         let beyond =
-            Measurement { quality: 1, starts_turn: false, angle_q6: 23_041, distance_q2: 4 };
+            Measurement { quality: 1, starts_revolution: false, angle_q6: 23_041, distance_q2: 4 };
         assert_eq!(Measurement::read(&beyond.write()), Err(AnswerError::Angle { q6: 23_041 }));
     }
 
@@ -99,11 +99,11 @@ mod tests {
         #[test]
         fn what_is_written_is_read_again(
             quality in 0..64_u8,
-            starts_turn: bool,
-            angle_q6 in 0..=TURN_Q6,
+            starts_revolution: bool,
+            angle_q6 in 0..=FULL_CIRCLE_Q6,
             distance_q2: u16,
         ) {
-            let measurement = Measurement { quality, starts_turn, angle_q6, distance_q2 };
+            let measurement = Measurement { quality, starts_revolution, angle_q6, distance_q2 };
             prop_assert_eq!(Measurement::read(&measurement.write()), Ok(measurement));
         }
     }

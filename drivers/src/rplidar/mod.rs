@@ -44,4 +44,4 @@ pub use measurement::{MEASUREMENT_BYTES, Measurement};
 pub use model::{Model, ModelSpec, MotorControl, ScanMode};
 pub use request::{REQUEST_BYTES, Request};
 
-use measurement::TURN_Q6;
+use measurement::FULL_CIRCLE_Q6;

@@ -9,7 +9,7 @@ use super::wheels::{WheelGeometry, WheelPath};
 
 /// Between scans that are further apart the wheels alone would decide, seconds.
 const LONGEST_GAP_S: f64 = 0.6;
-/// Metres of way that a radian of rotation counts as.
+/// Metres of path that a radian of rotation counts as.
 const METRES_PER_RADIAN: f64 = 0.5;
 
 /// The path of `base_link`, on the wheels' clock.
@@ -43,13 +43,13 @@ impl<'a> BasePath<'a> {
         let there = self.wheels.motion_by_wheels(&self.geometry, *from_s, time_s);
         let whole = self.wheels.motion_by_wheels(&self.geometry, *from_s, *to_s);
         let wrong = whole.inverse().compose(&from.inverse().compose(to));
-        let way_m = self.way_m(*from_s, *to_s);
-        let share = if way_m > 0.0 { self.way_m(*from_s, time_s) / way_m } else { 0.0 };
+        let path_m = self.path_m(*from_s, *to_s);
+        let share = if path_m > 0.0 { self.path_m(*from_s, time_s) / path_m } else { 0.0 };
         let part = Pose2::new(share * wrong.x_m, share * wrong.y_m, share * wrong.yaw_rad);
         Some(from.compose(&there).compose(&part))
     }
 
-    fn way_m(&self, from_s: f64, to_s: f64) -> f64 {
+    fn path_m(&self, from_s: f64, to_s: f64) -> f64 {
         let motion = self.wheels.motion(&self.geometry, from_s, to_s);
         motion.distance_m + METRES_PER_RADIAN * motion.rotation_rad
     }

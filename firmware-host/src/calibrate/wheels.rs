@@ -3,7 +3,7 @@
 use hal::Pose2;
 use nalgebra::Vector2;
 
-/// Metres of way that a radian of rotation counts as, where an error of the yaw is shared out along a path: half the track of a
+/// Metres of path that a radian of rotation counts as, where an error of the yaw is shared out along a path: half the track of a
 /// small robot is less, but rotation is where wheels are most often wrong.
 const METRES_PER_RADIAN: f64 = 0.5;
 
@@ -99,7 +99,7 @@ impl WheelPath {
         })
     }
 
-    /// Yaw and way between two times.
+    /// Yaw, distance and rotation between two times.
     pub fn motion(&self, geometry: &WheelGeometry, from_s: f64, to_s: f64) -> WheelMotion {
         let mut motion = WheelMotion { yaw_rad: 0.0, distance_m: 0.0, rotation_rad: 0.0 };
         for piece in self.pieces(from_s, to_s) {
@@ -112,7 +112,7 @@ impl WheelPath {
     }
 
     /// The end of the path in the frame of its beginning, as the wheels drove it, but with the yaw `yaw_rad` of another
-    /// measurement: what the wheels' yaw is wrong by is shared out along the way. `yaw_rad` is not wrapped.
+    /// measurement: what the wheels' yaw is wrong by is shared out along the path. `yaw_rad` is not wrapped.
     pub fn motion_with_yaw(
         &self,
         geometry: &WheelGeometry,
@@ -121,13 +121,13 @@ impl WheelPath {
         yaw_rad: f64,
     ) -> Pose2 {
         let motion = self.motion(geometry, from_s, to_s);
-        let way_m = motion.distance_m + METRES_PER_RADIAN * motion.rotation_rad;
-        let wrong_per_m = if way_m > 0.0 { (yaw_rad - motion.yaw_rad) / way_m } else { 0.0 };
+        let path_m = motion.distance_m + METRES_PER_RADIAN * motion.rotation_rad;
+        let wrong_per_m = if path_m > 0.0 { (yaw_rad - motion.yaw_rad) / path_m } else { 0.0 };
         let mut pose = Pose2::IDENTITY;
         for piece in self.pieces(from_s, to_s) {
             let [length_m, yaw_rad] = geometry.arc(piece);
-            let way_m = length_m.abs() + METRES_PER_RADIAN * yaw_rad.abs();
-            pose = pose.compose(&along_arc(length_m, yaw_rad + wrong_per_m * way_m));
+            let path_m = length_m.abs() + METRES_PER_RADIAN * yaw_rad.abs();
+            pose = pose.compose(&along_arc(length_m, yaw_rad + wrong_per_m * path_m));
         }
         pose
     }

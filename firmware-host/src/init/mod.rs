@@ -3,7 +3,7 @@
 //! | module | what it does |
 //! |---|---|
 //! | `search` | finds devices by their names, without opening any |
-//! | `look` | asks cameras what they offer, and listens which motor controllers send on a bus |
+//! | `query` | asks cameras what they offer, and listens which motor controllers send on a bus |
 //! | `found` | what was found, in words |
 //! | `questions` | what is asked, and which keys an answer sets |
 //! | `answers` | what is an answer; files of answers |
@@ -16,7 +16,7 @@ mod answers;
 mod dialogue;
 mod endpoints;
 mod found;
-mod look;
+mod query;
 mod questions;
 mod robot_file;
 mod search;
@@ -52,7 +52,7 @@ pub fn run(args: &InitArgs) -> Result<ExitCode> {
     }
     let places = Places { root: "/".into(), simulated: args.simulated.clone() };
     let mut found = places.search();
-    look::look(&mut found);
+    query::query_devices(&mut found);
     if args.print_answers {
         print!("{}", answers::template(&found));
         return Ok(ExitCode::SUCCESS);

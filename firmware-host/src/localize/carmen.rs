@@ -251,8 +251,8 @@ fn interpolate_scans(entries: &[Entry], poses: &mut [Pose2]) {
 }
 
 fn between(from: &Pose2, to: &Pose2, share: f64) -> Pose2 {
-    let way = from.inverse().compose(to);
-    from.compose(&Pose2::new(share * way.x_m, share * way.y_m, share * way.yaw_rad))
+    let motion = from.inverse().compose(to);
+    from.compose(&Pose2::new(share * motion.x_m, share * motion.y_m, share * motion.yaw_rad))
 }
 
 #[cfg(test)]

@@ -167,8 +167,8 @@ pub struct CalibrationWatch {
     latency: ChangeTest<1>,
     last_odom: Option<Pose2>,
     driven_m: f64,
-    /// Way at the rim of a wheel in the current block, metres.
-    way_m: f64,
+    /// Distance that the rim of a wheel has rolled in the current block, metres.
+    rolled_m: f64,
     begin: Begin,
     /// The last change of each parameter.
     changes: [Option<Change>; Watched::ALL.len()],
@@ -176,7 +176,7 @@ pub struct CalibrationWatch {
     camera_turned: [f64; 3],
 }
 
-remembers!(CalibrationWatch: wheels, lidar, camera, latency, last_odom, driven_m, way_m, begin, changes, camera_turned);
+remembers!(CalibrationWatch: wheels, lidar, camera, latency, last_odom, driven_m, rolled_m, begin, changes, camera_turned);
 
 impl CalibrationWatch {
     /// The last change of each parameter that has changed in this run.
@@ -228,11 +228,11 @@ impl CalibrationWatch {
             return None;
         }
         self.driven_m += step_m;
-        self.way_m += step_m + RIM_M_PER_RAD * step.yaw_rad.abs();
-        if self.way_m < BLOCK_M {
+        self.rolled_m += step_m + RIM_M_PER_RAD * step.yaw_rad.abs();
+        if self.rolled_m < BLOCK_M {
             return None;
         }
-        self.way_m = 0.0;
+        self.rolled_m = 0.0;
         let next = Begin { driven_m: self.driven_m, time_ns };
         let begin = std::mem::replace(&mut self.begin, next);
         let change = self.end_block(begin)?;

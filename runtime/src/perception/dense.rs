@@ -136,7 +136,7 @@ impl DenseDepth {
     fn complete_in_pool(&mut self, seen: &SeenCells<'_>, moment: &Moment) {
         let t_map_camera = moment.t_map_odom.to_pose3() * seen.pose;
         self.choose(seen, &t_map_camera);
-        let walls = self.walls.look(&moment.t_odom_base, moment.time_ns);
+        let walls = self.walls.project(&moment.t_odom_base, moment.time_ns);
         self.wall_agreement.update(walls, &self.joined, &self.confidence, self.cells.width);
         self.fill_holes(seen);
         self.join_walls();
@@ -352,8 +352,8 @@ mod tests {
             Self { coarse, dense, section: Some(0) }
         }
 
-        /// Whether the frame had coarse depth.
-        fn look(&mut self, at: &Pose3) -> bool {
+        /// Estimates the depth of a frame that was taken at this pose. Returns whether it had coarse depth.
+        fn process(&mut self, at: &Pose3) -> bool {
             let image = render(&camera(), at, 1.0, 0.0);
             let frame = ImageView::new(320, 96, PixelFormat::Gray8, &image).unwrap();
             let has_coarse = self.coarse.estimate(frame, at).is_ok();
@@ -376,7 +376,7 @@ mod tests {
 
     fn drive(robot: &mut Robot) {
         for step in 0..16 {
-            robot.look(&pose([0.03 * f64::from(step), 0.0, 0.0], 0.0));
+            robot.process(&pose([0.03 * f64::from(step), 0.0, 0.0], 0.0));
         }
     }
 
@@ -398,9 +398,9 @@ mod tests {
         // Twice to the side and back on the spot: coarse depth has forgotten, and no keyframe of the drive is left.
         let steps = (1..=16).chain((0..16).rev());
         for step in steps.clone().chain(steps) {
-            robot.look(&turned(0.06 * f64::from(step)));
+            robot.process(&turned(0.06 * f64::from(step)));
         }
-        robot.look(&turned(0.0));
+        robot.process(&turned(0.0));
         let cells: Vec<Candidates> = robot.dense.candidates().collect();
         let recalled =
             cells.iter().filter(|cell| cell.recalled.2 > cell.coarse.1.max(KNOWN)).count();
@@ -425,7 +425,7 @@ mod tests {
     #[test]
     fn a_first_frame_has_no_depth_of_any_kind() {
         let mut robot = Robot::new();
-        assert!(!robot.look(&pose([0.0; 3], 0.0)));
+        assert!(!robot.process(&pose([0.0; 3], 0.0)));
         assert!(robot.dense.last().confidence.iter().all(|p| *p == 0.0));
         assert!(robot.dense.last().depth.values().iter().all(|depth| *depth == 0.0));
     }
@@ -434,12 +434,12 @@ mod tests {
     fn a_robot_that_has_not_moved_has_the_depth_of_the_walls_that_its_scanner_sees() {
         let at = pose([0.0; 3], 0.0);
         let mut robot = Robot::with_scanner(DenseConfig::default(), 2.5);
-        assert!(!robot.look(&at));
+        assert!(!robot.process(&at));
         assert!(robot.right(&at) > 0.99, "{}", robot.right(&at));
         assert!(robot.dense.last().confidence.iter().all(|p| *p > 0.5));
         let mut without =
             Robot::with_scanner(DenseConfig { walls: false, ..DenseConfig::default() }, 2.5);
-        without.look(&at);
+        without.process(&at);
         assert!(without.dense.last().confidence.iter().all(|p| *p < 0.5));
     }
 

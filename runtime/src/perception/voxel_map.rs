@@ -20,8 +20,8 @@ const VOXELS: usize = 1 << 16;
 const WAYS: usize = 4;
 /// Edges of voxels, metres. A surface is kept in voxels that are at least as large as a cell of the image at its distance.
 const EDGES_M: [f32; 4] = [0.05, 0.1, 0.2, 0.4];
-/// Further looks at a voxel replace older ones, so that a thing that was moved is forgotten after some looks.
-const MOST_LOOKS: f32 = 24.0;
+/// Further observations of a voxel replace older ones, so that a thing that was moved is forgotten after some of them.
+const MOST_OBSERVATIONS: f32 = 24.0;
 /// Surfaces are not recalled beyond this distance, metres.
 const FAR_M: f32 = 20.0;
 /// Surfaces nearer than this are not recalled, metres: one voxel would fill the image.
@@ -43,10 +43,10 @@ struct Voxel {
     point_m: [f32; 3],
     /// Weight of that mean.
     weight: f32,
-    /// Sum of the confidence of the looks that saw the surface, less that of the looks that saw through it.
+    /// Sum of the confidence of the observations that saw the surface, less that of the observations that saw through it.
     evidence: f32,
-    /// Number of looks.
-    looks: f32,
+    /// Number of observations.
+    observations: f32,
     /// The frame that saw it last.
     seen: u32,
     /// Keeps the size a multiple of 8.
@@ -62,7 +62,7 @@ struct Recalled {
     weight: f32,
     weighted: f32,
     evidence: f32,
-    looks: f32,
+    observations: f32,
     /// Slot of the nearest voxel, plus 1.
     slot: u32,
 }
@@ -108,7 +108,7 @@ pub struct Seen<'a> {
 
 /// A point that a frame saw.
 #[derive(Debug, Clone, Copy)]
-struct Look {
+struct SeenPoint {
     /// In the frame `map` of its section, metres.
     point_m: [f32; 3],
     /// Its depth, metres.
@@ -130,7 +130,7 @@ impl VoxelMap {
     }
 
     /// What the camera at `t_map_camera` should see, for every cell of `cells`, row-major: the mean of the nearest surface's
-    /// voxels, with evidence and number of looks of the voxel that was seen most often.
+    /// voxels, with evidence and number of observations of the voxel that was seen most often.
     pub fn recall(&mut self, t_map_camera: &Pose3, cells: &CameraModel) -> &[Belief] {
         self.views.clear();
         for section in 0..=self.moved.len() {
@@ -182,13 +182,13 @@ impl VoxelMap {
             }
             let x = ((cell % cells.width) as f32 - cells.cx as f32) / cells.fx as f32;
             let y = ((cell / cells.width) as f32 - cells.cy as f32) / cells.fy as f32;
-            let look = Look {
+            let point = SeenPoint {
                 point_m: back.transform([x * z, y * z, z]),
                 z,
                 cell_m: z / cells.fx as f32,
                 confidence,
             };
-            self.add(look, section);
+            self.add(point, section);
         }
     }
 
@@ -200,14 +200,14 @@ impl VoxelMap {
         }
         let voxel = &mut self.slots[recalled.slot as usize - 1];
         voxel.evidence -= confidence;
-        voxel.looks += 1.0;
+        voxel.observations += 1.0;
         if voxel.evidence <= 0.0 {
             *voxel = Voxel::zeroed();
         }
     }
 
-    fn add(&mut self, look: Look, section: u16) {
-        let Look { point_m, z, cell_m, confidence } = look;
+    fn add(&mut self, point: SeenPoint, section: u16) {
+        let SeenPoint { point_m, z, cell_m, confidence } = point;
         let [.., largest] = EDGES_M;
         let (level, edge_m) = EDGES_M
             .into_iter()
@@ -233,16 +233,16 @@ impl VoxelMap {
         for (mean, value) in voxel.point_m.iter_mut().zip(point_m) {
             *mean += (value - *mean) * weight / voxel.weight;
         }
-        // Several cells of one frame are one look.
+        // Several cells of one frame are one observation.
         if voxel.seen == self.frames && found.is_some() {
             return;
         }
         voxel.seen = self.frames;
         voxel.evidence += confidence;
-        voxel.looks += 1.0;
-        if voxel.looks > MOST_LOOKS {
-            let keep = MOST_LOOKS / voxel.looks;
-            voxel.looks *= keep;
+        voxel.observations += 1.0;
+        if voxel.observations > MOST_OBSERVATIONS {
+            let keep = MOST_OBSERVATIONS / voxel.observations;
+            voxel.observations *= keep;
             voxel.evidence *= keep;
             voxel.weight *= keep;
         }
@@ -257,7 +257,7 @@ impl Recalled {
         Belief {
             inverse_depth: self.weighted / self.weight,
             evidence: self.evidence,
-            votes: self.looks,
+            votes: self.observations,
             offset: [0.0; 2],
         }
     }
@@ -347,8 +347,8 @@ impl Recalled {
         }
         self.weight += other.weight;
         self.weighted += other.weighted;
-        if other.looks > self.looks {
-            self.looks = other.looks;
+        if other.observations > self.observations {
+            self.observations = other.observations;
             self.evidence = other.evidence;
         }
     }
@@ -367,8 +367,8 @@ impl Recalled {
         }
         self.weight += voxel.weight;
         self.weighted += voxel.weight * inverse_depth;
-        if voxel.looks > self.looks {
-            self.looks = voxel.looks;
+        if voxel.observations > self.observations {
+            self.observations = voxel.observations;
             self.evidence = voxel.evidence;
         }
     }
@@ -440,7 +440,7 @@ mod tests {
         CameraModel::pinhole(80, 24, std::f64::consts::FRAC_PI_2)
     }
 
-    /// A camera in `map` at a height of 0.8 m that looks along x.
+    /// A camera in `map` at a height of 0.8 m that points along x.
     fn camera_at(x_m: f64, y_m: f64, yaw_rad: f64) -> Pose3 {
         let axes = nalgebra::Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
         let optical = nalgebra::UnitQuaternion::from_matrix(&axes);
@@ -461,7 +461,7 @@ mod tests {
         seen.collect()
     }
 
-    fn look(map: &mut VoxelMap, t_map_camera: &Pose3, wall_m: f64, section: u16) {
+    fn observe(map: &mut VoxelMap, t_map_camera: &Pose3, wall_m: f64, section: u16) {
         map.recall(t_map_camera, &cells());
         let beliefs = wall(t_map_camera, wall_m);
         let confidence = vec![0.9; beliefs.len()];
@@ -491,7 +491,7 @@ mod tests {
     fn a_wall_that_was_seen_is_recalled_from_another_place_and_direction() {
         let mut map = VoxelMap::default();
         for step in 0..6 {
-            look(&mut map, &camera_at(0.1 * f64::from(step), 0.0, 0.0), 3.0, 0);
+            observe(&mut map, &camera_at(0.1 * f64::from(step), 0.0, 0.0), 3.0, 0);
         }
         let (right, _) = right_and_empty(&mut map, &camera_at(0.4, 0.3, -0.1), 3.0);
         assert!(right > 0.85, "{right}");
@@ -503,26 +503,26 @@ mod tests {
     fn a_near_wall_hides_a_far_one() {
         let mut map = VoxelMap::default();
         for step in 0..4 {
-            look(&mut map, &camera_at(2.0 + 0.1 * f64::from(step), 0.0, 0.0), 5.0, 0);
+            observe(&mut map, &camera_at(2.0 + 0.1 * f64::from(step), 0.0, 0.0), 5.0, 0);
         }
         for step in 0..4 {
-            look(&mut map, &camera_at(0.1 * f64::from(step), 0.0, 0.0), 1.5, 0);
+            observe(&mut map, &camera_at(0.1 * f64::from(step), 0.0, 0.0), 1.5, 0);
         }
         let (right, _) = right_and_empty(&mut map, &camera_at(0.0, 0.0, 0.0), 1.5);
         assert!(right > 0.9, "{right}");
     }
 
     #[test]
-    fn a_wall_that_is_gone_is_forgotten_after_as_many_looks_as_saw_it() {
+    fn a_wall_that_is_gone_is_forgotten_after_as_many_frames_as_saw_it() {
         let mut map = VoxelMap::default();
         let here = camera_at(0.0, 0.0, 0.0);
         for _ in 0..4 {
-            look(&mut map, &here, 1.5, 0);
+            observe(&mut map, &here, 1.5, 0);
         }
         assert!(right_and_empty(&mut map, &here, 1.5).0 > 0.9);
-        // Every look learns from half of the cells.
+        // The map learns half of the cells of a frame.
         for _ in 0..20 {
-            look(&mut map, &here, 4.0, 0);
+            observe(&mut map, &here, 4.0, 0);
         }
         let (old, _) = right_and_empty(&mut map, &here, 1.5);
         let (new, _) = right_and_empty(&mut map, &here, 4.0);
@@ -532,12 +532,12 @@ mod tests {
     #[test]
     fn a_closed_loop_moves_the_sections_that_it_corrects_and_no_others() {
         let mut map = VoxelMap::default();
-        // Every look learns from half of the cells.
+        // The map learns half of the cells of a frame.
         for _ in 0..3 {
-            look(&mut map, &camera_at(0.0, 0.0, 0.0), 3.0, 0);
+            observe(&mut map, &camera_at(0.0, 0.0, 0.0), 3.0, 0);
         }
         for _ in 0..3 {
-            look(&mut map, &camera_at(0.0, 0.0, std::f64::consts::PI), -3.0, 1);
+            observe(&mut map, &camera_at(0.0, 0.0, std::f64::consts::PI), -3.0, 1);
         }
         let half_a_meter = Pose2 { x_m: 0.5, y_m: 0.0, yaw_rad: 0.0 };
         map.correct(&[half_a_meter]);
@@ -553,7 +553,7 @@ mod tests {
         map.correct(&[Pose2 { x_m: 0.5, y_m: -0.2, yaw_rad: 0.3 }]);
         let here = camera_at(1.0, 0.2, 0.1);
         for _ in 0..3 {
-            look(&mut map, &here, 3.0, 0);
+            observe(&mut map, &here, 3.0, 0);
         }
         let (right, _) = right_and_empty(&mut map, &here, 3.0);
         assert!(right > 0.9, "{right}");
@@ -563,7 +563,7 @@ mod tests {
     fn memory_is_bounded_and_the_surfaces_seen_last_are_kept() {
         let mut map = VoxelMap::default();
         for step in 0..400 {
-            look(&mut map, &camera_at(0.0, 2.0 * f64::from(step), 0.0), 2.5, 0);
+            observe(&mut map, &camera_at(0.0, 2.0 * f64::from(step), 0.0), 2.5, 0);
         }
         assert_eq!(map.slots.len(), VOXELS);
         let (right, _) = right_and_empty(&mut map, &camera_at(0.0, 798.0, 0.0), 2.5);
@@ -573,7 +573,7 @@ mod tests {
     #[test]
     fn a_restored_map_recalls_the_same_bits_and_a_cut_one_is_refused() {
         let mut map = VoxelMap::default();
-        look(&mut map, &camera_at(0.0, 0.0, 0.0), 3.0, 0);
+        observe(&mut map, &camera_at(0.0, 0.0, 0.0), 3.0, 0);
         map.correct(&[Pose2 { x_m: 0.1, y_m: 0.0, yaw_rad: 0.0 }]);
         let mut bytes = Vec::new();
         map.write(&mut bytes);
@@ -594,7 +594,7 @@ mod tests {
             pool.install(|| {
                 let mut map = VoxelMap::default();
                 for step in 0..5 {
-                    look(&mut map, &camera_at(0.1 * f64::from(step), 0.0, 0.05), 3.0, 0);
+                    observe(&mut map, &camera_at(0.1 * f64::from(step), 0.0, 0.05), 3.0, 0);
                 }
                 map.recall(&camera_at(0.2, 0.0, 0.0), &cells()).to_vec()
             })

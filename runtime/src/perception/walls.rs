@@ -96,7 +96,7 @@ impl Walls {
 
     /// What the newest scan tells about each cell of a frame that was taken at `time_ns` from `t_odom_base`; nothing when the scan is
     /// old.
-    pub fn look(&mut self, t_odom_base: &Pose2, time_ns: u64) -> &[Wall] {
+    pub fn project(&mut self, t_odom_base: &Pose2, time_ns: u64) -> &[Wall] {
         self.distance_m.clear();
         self.distance_m.resize(DIRECTIONS, f32::INFINITY);
         if time_ns.abs_diff(self.seen_ns) <= MAX_AGE_NS {
@@ -115,7 +115,7 @@ impl Walls {
         &self.walls
     }
 
-    /// The result of the last [`look`](Self::look).
+    /// The result of the last [`project`](Self::project).
     pub fn last(&self) -> &[Wall] {
         &self.walls
     }
@@ -191,7 +191,7 @@ mod tests {
         let mut walls = walls();
         let here = Pose2::new(0.5, 0.0, 0.0);
         walls.see(&scan(&Pose2::IDENTITY), &Pose2::IDENTITY);
-        let seen = walls.look(&here, 1_050_000_000);
+        let seen = walls.project(&here, 1_050_000_000);
         // The camera is at x = 0.6 m, and the wall at x = 3 m.
         for row in [0, 20] {
             for column in [10, 80, 150] {
@@ -203,7 +203,7 @@ mod tests {
         let down = (47.0 - cells().cy) / cells().fy;
         let low = seen[at(47, 80)];
         assert!(!low.is_floor, "the floor would be at {} m", CAMERA_M / down);
-        let far = walls.look(&Pose2::new(-2.0, 0.0, 0.0), 1_050_000_000)[at(47, 80)];
+        let far = walls.project(&Pose2::new(-2.0, 0.0, 0.0), 1_050_000_000)[at(47, 80)];
         assert!(far.is_floor);
         assert!((f64::from(far.inverse_depth) - down / CAMERA_M).abs() < 1e-6);
     }
@@ -212,7 +212,7 @@ mod tests {
     fn a_robot_that_has_rotated_since_the_scan_sees_the_wall_from_its_side() {
         let mut walls = walls();
         walls.see(&scan(&Pose2::IDENTITY), &Pose2::IDENTITY);
-        let seen = walls.look(&Pose2::new(0.0, 0.0, 0.5), 1_000_000_000);
+        let seen = walls.project(&Pose2::new(0.0, 0.0, 0.5), 1_000_000_000);
         // The column straight ahead meets the wall at an angle of 0.5 rad.
         let camera_m = 0.1 * 0.5_f64.cos();
         let expected = (3.0 - camera_m) / 0.5_f64.cos();
@@ -227,7 +227,7 @@ mod tests {
         // 10 degrees around the axis: 0.25 degrees per beam.
         gap.ranges[520..561].fill(Range::NoReturn);
         walls.see(&gap, &Pose2::IDENTITY);
-        let seen = walls.look(&Pose2::IDENTITY, 1_000_000_000);
+        let seen = walls.project(&Pose2::IDENTITY, 1_000_000_000);
         assert_eq!(seen[at(47, 80)], Wall::default());
         assert!(seen[at(47, 40)].inverse_depth > 0.0);
     }
@@ -236,7 +236,7 @@ mod tests {
     fn an_old_scan_tells_nothing() {
         let mut walls = walls();
         walls.see(&scan(&Pose2::IDENTITY), &Pose2::IDENTITY);
-        let seen = walls.look(&Pose2::IDENTITY, 1_000_000_000 + 2 * MAX_AGE_NS);
+        let seen = walls.project(&Pose2::IDENTITY, 1_000_000_000 + 2 * MAX_AGE_NS);
         assert!(seen.iter().all(|wall| *wall == Wall::default()));
     }
 
@@ -244,6 +244,6 @@ mod tests {
     fn a_camera_that_is_not_on_a_robot_has_no_walls() {
         let mut walls = Walls::default();
         walls.see(&scan(&Pose2::IDENTITY), &Pose2::IDENTITY);
-        assert!(walls.look(&Pose2::IDENTITY, 1_000_000_000).is_empty());
+        assert!(walls.project(&Pose2::IDENTITY, 1_000_000_000).is_empty());
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! `explore`, `run`, the hardware-in-the-loop scenarios and the accuracy tool are [`Session`]s that differ in their [`Devices`]
 //! and their clock only. `Robot::tick` is visible in this crate alone, and its two callers are [`Session::tick`] and
-//! [`recompute`], which takes a recorded tick; a second loop does not compile.
+//! [`recompute`], which takes a recorded tick. A loop in another crate cannot call it.
 //!
 //! The safety loop stands outside. On a robot a thread of its own steps it; in simulation [`VirtualTime`] steps it, at the same
 //! rate and through the same queues ([`safety_link`]).

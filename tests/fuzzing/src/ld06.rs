@@ -1,6 +1,6 @@
 use drivers::FixedFramer;
 use drivers::ld06::{Decoder, PACKET_BYTES, Packet, may_begin};
-use drivers::rotary::{Event, Mount, Turn, circle};
+use drivers::rotary::{Event, Mount, Revolution, circle};
 use hal::Range;
 
 /// Arbitrary bytes from an LD06 as input of its codec: the packets are those that a simple search
@@ -10,7 +10,7 @@ pub fn ld06(data: &[u8]) {
     let mut found = Vec::new();
     let mut decoder = Decoder::new(15);
     let geometry = circle(450.0, (0.02, 12.0), 1);
-    let mut turn = Turn::new(&geometry, Mount::default());
+    let mut revolution = Revolution::new(&geometry, Mount::default());
     let mut samples = 0;
     for byte in data {
         found.extend(framer.push(*byte, Packet::read).and_then(Result::ok));
@@ -18,13 +18,13 @@ pub fn ld06(data: &[u8]) {
             let Event::Sample(sample) = event else { return };
             samples += 1;
             assert!((0.0..std::f64::consts::TAU).contains(&sample.clockwise_rad));
-            turn.add(&sample);
+            revolution.add(&sample);
         });
     }
     assert_eq!(found, simple_search(data));
     assert_eq!(samples, 12 * found.len());
     let mut ranges = Vec::new();
-    turn.finish(&mut ranges);
+    revolution.finish(&mut ranges);
     assert_eq!(ranges.len(), geometry.beams);
     assert!(ranges.iter().all(|range| range.hit_m().is_none_or(|m| (0.02..=12.0).contains(&m))));
     if found.is_empty() {

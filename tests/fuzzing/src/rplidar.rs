@@ -1,4 +1,4 @@
-use drivers::rotary::{Event, Mount, Turn, circle};
+use drivers::rotary::{Event, Mount, Revolution, circle};
 use drivers::rplidar::{
     CAPSULE_BYTES, Capsule, Cell, DESCRIPTOR_BYTES, Decoder, Descriptor, Health, Info, Layout,
     MEASUREMENT_BYTES, Measurement, Request,
@@ -39,20 +39,20 @@ pub fn rplidar(data: &[u8]) {
 fn decode(head: &[u8], stream: &[u8]) {
     let mut decoder = Decoder::new(RANGE_M);
     let geometry = circle(727.0, RANGE_M, 1);
-    let mut turn = Turn::new(&geometry, Mount::default());
+    let mut revolution = Revolution::new(&geometry, Mount::default());
     let mut samples = 0;
     for byte in head.iter().chain(stream) {
         decoder.push(*byte, |event| {
             let Event::Sample(sample) = event else { return };
             samples += 1;
             assert!((0.0..std::f64::consts::TAU).contains(&sample.clockwise_rad));
-            turn.add(&sample);
+            revolution.add(&sample);
         });
     }
     // A dense capsule of 84 bytes has 40 measurements, a standard measurement five bytes.
     assert!(2 * samples <= stream.len());
     let mut ranges = Vec::new();
-    turn.finish(&mut ranges);
+    revolution.finish(&mut ranges);
     let limits = RANGE_M.0..=RANGE_M.1;
     assert!(ranges.iter().all(|range| range.hit_m().is_none_or(|m| limits.contains(&m))));
 }

@@ -146,7 +146,7 @@ impl Engine for ScanAlone {
     ) -> Result<Option<DepthEstimate>> {
         let Some((scan, t_odom_laser)) = &view.scan else { return Ok(None) };
         self.walls.see(scan, t_odom_laser);
-        let walls = self.walls.look(&view.moment.t_odom_base, view.moment.time_ns);
+        let walls = self.walls.project(&view.moment.t_odom_base, view.moment.time_ns);
         let mut found = DepthEstimate::none(self.camera.width, self.camera.height);
         if walls.is_empty() {
             return Ok(None);

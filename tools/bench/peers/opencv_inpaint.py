@@ -1,7 +1,7 @@
 """OpenCV's inpainting of the holes of a depth image: WIDTH HEIGHT.
 
 Every line on stdin is one image: `fill` fills 30 % of it, blocks of 32x32 pixels, as Telea (2004) describes. It is what depth
-cameras' pictures are usually completed with. The answer is the time in seconds.
+cameras' images are usually completed with. The answer is the time in seconds.
 """
 
 import os

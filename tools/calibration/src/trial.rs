@@ -97,6 +97,6 @@ fn odom_at(history: &[hal::WheelFeedback], time_ns: u64) -> Pose2 {
         return history.last().map_or(Pose2::IDENTITY, |report| report.odom);
     };
     let share = (time_ns as f64 - from.time_ns as f64) / (to.time_ns as f64 - from.time_ns as f64);
-    let way = from.odom.inverse().compose(&to.odom);
-    from.odom.compose(&Pose2::new(share * way.x_m, share * way.y_m, share * way.yaw_rad))
+    let motion = from.odom.inverse().compose(&to.odom);
+    from.odom.compose(&Pose2::new(share * motion.x_m, share * motion.y_m, share * motion.yaw_rad))
 }

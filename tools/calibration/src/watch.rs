@@ -132,8 +132,8 @@ impl Row {
         self.named_m.sort_by(f64::total_cmp);
         let [p50, p90] = [0.5, 0.9].map(|share| {
             let last = self.named_m.len().saturating_sub(1) as f64;
-            let way_m = self.named_m.get((share * last).round() as usize);
-            way_m.map_or(String::new(), |way_m| format!("{way_m:.1} m"))
+            let distance_m = self.named_m.get((share * last).round() as usize);
+            distance_m.map_or(String::new(), |distance_m| format!("{distance_m:.1} m"))
         });
         let Self { robots, named_m, wrong, other } = self;
         let named = named_m.len();

@@ -117,11 +117,14 @@ impl Ghost {
 
     /// Is at `truth` for the next scan; the wheels report about the motion to there.
     fn drive_to(&mut self, truth: Pose2) {
-        let way = self.truth.inverse().compose(&truth);
+        let motion = self.truth.inverse().compose(&truth);
         let [distance, yaw] = [0, 1].map(|_| 1.0 + WHEEL_NOISE * self.rng.random_range(-1.7..1.7));
-        let drift_rad = WHEEL_DRIFT_RAD_PER_M * way.x_m;
-        let reported =
-            Pose2::new(distance * way.x_m, distance * way.y_m, yaw * way.yaw_rad + drift_rad);
+        let drift_rad = WHEEL_DRIFT_RAD_PER_M * motion.x_m;
+        let reported = Pose2::new(
+            distance * motion.x_m,
+            distance * motion.y_m,
+            yaw * motion.yaw_rad + drift_rad,
+        );
         self.wheel = self.wheel.compose(&reported);
         self.truth = truth;
     }

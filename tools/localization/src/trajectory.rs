@@ -73,8 +73,8 @@ impl Trajectory {
         let before = self.scans.get(after.checked_sub(1)?)?;
         let after = self.scans.get(after)?;
         let share = (time_s - before.time_s) / (after.time_s - before.time_s).max(1e-9);
-        let way = before.pose.inverse().compose(&after.pose);
-        let part = Pose2::new(share * way.x_m, share * way.y_m, share * way.yaw_rad);
+        let motion = before.pose.inverse().compose(&after.pose);
+        let part = Pose2::new(share * motion.x_m, share * motion.y_m, share * motion.yaw_rad);
         Some(before.pose.compose(&part))
     }
 }

@@ -98,9 +98,19 @@ mod tests {
         crates(features).iter().any(|name| name == "simulator")
     }
 
+    /// Crates that make keys or sign.
+    const SIGNERS: [&str; 3] = ["minisign", "scrypt", "rpassword"];
+
     #[test]
     fn the_robots_package_contains_no_simulator() {
         assert!(has_simulator(None), "a build that has one is recognized");
         assert!(!has_simulator(Some(FEATURES)));
+    }
+
+    #[test]
+    fn the_robots_package_verifies_signatures_and_cannot_sign() {
+        let packaged = crates(Some(FEATURES));
+        assert!(packaged.iter().any(|name| name == "minisign-verify"));
+        assert!(!packaged.iter().any(|name| SIGNERS.contains(&name.as_str())));
     }
 }

@@ -8,7 +8,7 @@ use std::process::Stdio;
 
 use anyhow::{Context, Result, bail};
 
-use super::{Arch, trial};
+use super::{Arch, FEATURES, trial};
 use crate::{command, onnx_runtime, paths};
 
 /// Files that are copied unchanged: path in the repository, path on the robot.
@@ -130,7 +130,7 @@ fn strip(arch: Arch) -> String {
 /// The crates in the programs with their licences.
 fn crates() -> Result<String> {
     let mut tree = command::cargo();
-    tree.args(["tree", "--locked", "--quiet", "--edges", "normal", "--prefix", "none"]);
+    tree.args(["tree", "--locked", "--quiet", "--edges", "normal", "--prefix", "none", FEATURES]);
     tree.args(PROGRAMS.iter().flat_map(|program| ["--package", program]));
     let listed = output(tree.args(["--format", "{p}  {l}", "--target", "all"]))?;
     // The project's crates are listed with their paths, and repeated crates with a star.

@@ -31,8 +31,8 @@ impl Mount {
 /// The geometry of the scans of a scanner with this many measurements in a revolution: a whole circle
 /// in beams that each hold at least one measurement, counter-clockwise from straight behind.
 #[must_use]
-pub fn circle(samples_per_turn: f64, range_m: (f32, f32), period_ns: u64) -> ScanGeometry {
-    let most = samples_per_turn / FASTER;
+pub fn circle(samples_per_revolution: f64, range_m: (f32, f32), period_ns: u64) -> ScanGeometry {
+    let most = samples_per_revolution / FASTER;
     let beams = BEAMS.into_iter().rfind(|beams| *beams as f64 <= most).unwrap_or(BEAMS[0]);
     ScanGeometry {
         angle_min_rad: -PI,
@@ -47,14 +47,14 @@ pub fn circle(samples_per_turn: f64, range_m: (f32, f32), period_ns: u64) -> Sca
 /// The measurements of the current revolution, by beam. A beam without one is an error: it was not
 /// measured, and so it is not free.
 #[derive(Debug, Clone)]
-pub struct Turn {
+pub struct Revolution {
     angle_min_rad: f64,
     angle_increment_rad: f64,
     mount: Mount,
     beams: Vec<Option<Range>>,
 }
 
-impl Turn {
+impl Revolution {
     /// A revolution without measurements.
     #[must_use]
     pub fn new(geometry: &ScanGeometry, mount: Mount) -> Self {
@@ -115,16 +115,16 @@ mod tests {
     const RANGE_M: (f32, f32) = (0.1, 12.0);
 
     fn sample(clockwise_deg: f64, range: Range) -> Sample {
-        Sample { clockwise_rad: clockwise_deg.to_radians(), range, starts_turn: false }
+        Sample { clockwise_rad: clockwise_deg.to_radians(), range, starts_revolution: false }
     }
 
     /// The direction in degrees of every beam with a hit.
     fn hits_deg(mount: Mount, samples: &[Sample]) -> Vec<f64> {
         let geometry = circle(450.0, RANGE_M, 1);
-        let mut turn = Turn::new(&geometry, mount);
-        samples.iter().for_each(|sample| turn.add(sample));
+        let mut revolution = Revolution::new(&geometry, mount);
+        samples.iter().for_each(|sample| revolution.add(sample));
         let mut ranges = Vec::new();
-        turn.finish(&mut ranges);
+        revolution.finish(&mut ranges);
         let hits = ranges.iter().enumerate().filter(|(_, range)| range.hit_m().is_some());
         hits.map(|(beam, _)| (geometry.angle_rad(beam).to_degrees() * 10.0).round() / 10.0)
             .collect()
@@ -152,12 +152,12 @@ mod tests {
     #[test]
     fn beams_without_a_measurement_are_errors_and_are_forgotten_with_the_revolution() {
         let geometry = circle(450.0, RANGE_M, 1);
-        let mut turn = Turn::new(&geometry, Mount::default());
-        turn.add(&sample(0.0, Range::NoReturn));
+        let mut revolution = Revolution::new(&geometry, Mount::default());
+        revolution.add(&sample(0.0, Range::NoReturn));
         let mut ranges = Vec::new();
-        turn.finish(&mut ranges);
+        revolution.finish(&mut ranges);
         assert_eq!(ranges.iter().filter(|range| **range == Range::Error).count(), 399);
-        turn.finish(&mut ranges);
+        revolution.finish(&mut ranges);
         assert!(ranges.iter().all(|range| *range == Range::Error));
     }
 
@@ -179,16 +179,16 @@ mod tests {
 
     #[test]
     fn every_beam_of_a_revolution_is_measured_up_to_a_tenth_above_the_nominal_rate() {
-        for samples_per_turn in [450.0, 727.0, 400.0, 363.0, 3200.0, 200.0] {
-            let geometry = circle(samples_per_turn, RANGE_M, 1);
-            let fast = (samples_per_turn / FASTER).floor() as usize;
-            let mut turn = Turn::new(&geometry, Mount::default());
+        for samples_per_revolution in [450.0, 727.0, 400.0, 363.0, 3200.0, 200.0] {
+            let geometry = circle(samples_per_revolution, RANGE_M, 1);
+            let fast = (samples_per_revolution / FASTER).floor() as usize;
+            let mut revolution = Revolution::new(&geometry, Mount::default());
             for index in 0..fast {
-                turn.add(&sample(360.0 * index as f64 / fast as f64, Range::Hit(1.0)));
+                revolution.add(&sample(360.0 * index as f64 / fast as f64, Range::Hit(1.0)));
             }
             let mut ranges = Vec::new();
-            turn.finish(&mut ranges);
-            assert!(ranges.iter().all(|range| range.hit_m().is_some()), "{samples_per_turn}");
+            revolution.finish(&mut ranges);
+            assert!(ranges.iter().all(|range| range.hit_m().is_some()), "{samples_per_revolution}");
         }
     }
 
@@ -201,8 +201,8 @@ mod tests {
         ) {
             let geometry = circle(450.0, RANGE_M, 1);
             let mount = Mount { zero_rad, upside_down };
-            let turn = Turn::new(&geometry, mount);
-            let beam = turn.beam(clockwise_rad);
+            let revolution = Revolution::new(&geometry, mount);
+            let beam = revolution.beam(clockwise_rad);
             prop_assert!(beam < geometry.beams);
             let off_rad = hal::wrap_angle(geometry.angle_rad(beam) - mount.angle_rad(clockwise_rad));
             prop_assert!(off_rad.abs() <= 0.5 * geometry.angle_increment_rad + 1e-9);

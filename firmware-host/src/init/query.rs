@@ -14,13 +14,13 @@ const LISTEN_NS: u64 = 1_200_000_000;
 const POLL_NS: u64 = 5_000_000;
 
 /// Completes what was found by what the devices say. Nodes that are no cameras are left out.
-pub fn look(found: &mut Found) {
-    found.cameras.iter_mut().for_each(look_through);
+pub fn query_devices(found: &mut Found) {
+    found.cameras.iter_mut().for_each(query_camera);
     found.cameras.retain(|camera| !matches!(camera.offer, Err(V4l2Error::NotACamera { .. })));
     listen(&mut found.buses);
 }
 
-fn look_through(camera: &mut FoundCamera) {
+fn query_camera(camera: &mut FoundCamera) {
     let config =
         CameraDeviceConfig { device: camera.device.clone(), ..CameraDeviceConfig::default() };
     camera.offer = v4l2::offer(&config).map(|offer| FrameOffer {
