@@ -169,7 +169,7 @@ fn the_planner_keeps_its_margin_from_stairs_in_addition_to_that_from_obstacles()
 
 #[test]
 fn drops_that_are_too_narrow_for_stairs_are_like_other_obstacles_to_the_planner() {
-    let grid = map_of(&Shaft { y_m: [-0.03, 0.03], ..STAIRS });
+    let grid = map_of(&Shaft { y_m: [-0.06, 0.06], ..STAIRS });
     let drops = occupied(&grid);
     assert!(!drops.is_empty() && middles(&grid).is_empty());
     let config = PlanConfig::default();
