@@ -17,12 +17,14 @@ use std::time::{Duration, Instant};
 
 use assert_cmd::cargo::CommandCargoExt;
 use drivers::can::messages::SafetyInput;
-use drivers::can::{CanBus, Protocol, UnixBus};
+use drivers::can::{BaseConfig, CanBus, Protocol, UnixBus};
 use drivers::rplidar::Model;
 use firmware_host::model::{State, Store, What};
 use firmware_host::recorded::Recorded;
 use firmware_host::run::status::Status;
 use hal::{CameraModel, Clock};
+use hil::motor::wheel::COAST_S;
+use hil::motor::{MotorNode, rig};
 use hil::world::{LiveOptions, LiveWorld, ScannerModel};
 use live_link::{Frame, FrameReader};
 use monotonic_clock::MonotonicClock;
@@ -95,10 +97,10 @@ impl Scene {
         Self { folder, world, robot }
     }
 
-    /// With a safety board on the bus, which is configured.
-    fn with_board() -> (Self, Board) {
+    /// With a safety board on the bus, which is configured. Its first frame already says whether its stop is pressed.
+    fn with_board(pressed: bool) -> (Self, Board) {
         let scene = Self::with_another("safety_board = false", "safety_board = true");
-        let board = Board::start(&scene.path("can"));
+        let board = Board::start(&scene.path("can"), pressed);
         (scene, board)
     }
 
@@ -172,8 +174,8 @@ impl Scene {
         self.wait(state, |scene| scene.status().is_some_and(|status| status.safety.state == state));
     }
 
-    /// How far it goes in half a second.
-    fn way_m(&self) -> f64 {
+    /// How far the robot drives in half a second, metres.
+    fn driven_m(&self) -> f64 {
         let (_, before_m) = self.world.home().score();
         pause(500);
         self.world.home().score().1 - before_m
@@ -227,16 +229,19 @@ fn start(world: &LiveWorld, folder: &Path, out: &str, args: &[String]) -> Child 
 /// A safety board on the simulated bus.
 struct Board {
     pressed: Arc<AtomicBool>,
+    plugged: Arc<AtomicBool>,
     running: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Board {
-    fn start(hub: &Path) -> Self {
-        let pressed = Arc::new(AtomicBool::new(false));
+    fn start(hub: &Path, is_pressed: bool) -> Self {
+        let pressed = Arc::new(AtomicBool::new(is_pressed));
+        let plugged = Arc::new(AtomicBool::new(true));
         let running = Arc::new(AtomicBool::new(true));
         let mut bus = UnixBus::new(hub.to_str().unwrap());
         let now = Arc::clone(&pressed);
+        let connected = Arc::clone(&plugged);
         let goes_on = Arc::clone(&running);
         let thread = Some(std::thread::spawn(move || {
             let mut clock = MonotonicClock;
@@ -245,11 +250,18 @@ impl Board {
                 while bus.receive(clock.now_ns()).is_some() {}
                 counter = (counter + 1) % 16;
                 let estop = now.load(Ordering::Relaxed);
-                let _ = bus.send(&SafetyInput { counter, estop, bumper: false }.encode());
+                if connected.load(Ordering::Relaxed) {
+                    let _ = bus.send(&SafetyInput { counter, estop, bumper: false }.encode());
+                }
                 clock.sleep_until_ns(clock.now_ns() + 20_000_000);
             }
         }));
-        Self { pressed, running, thread }
+        Self { pressed, plugged, running, thread }
+    }
+
+    /// Unplugs the board from the bus, or plugs it in again.
+    fn plug(&self, on: bool) {
+        self.plugged.store(on, Ordering::Relaxed);
     }
 
     fn press(&self, pressed: bool) {
@@ -316,7 +328,7 @@ fn it_explores_stands_while_a_device_is_gone_says_so_and_goes_on_without_help() 
 
     scene.world.lidar().unplug();
     scene.state_is("fault: no new scan from the LiDAR");
-    assert!(scene.way_m() < 0.01, "it drives without a scanner");
+    assert!(scene.driven_m() < 0.01, "it drives without a scanner");
     let (well, text) = scene.health();
     assert!(!well && text.contains("! LiDAR") && text.contains("continues on its own"), "{text}");
     scene.world.lidar().plug_in().unwrap();
@@ -327,7 +339,7 @@ fn it_explores_stands_while_a_device_is_gone_says_so_and_goes_on_without_help() 
         scene.status().is_some_and(|status| status.camera.state != "working")
     });
     pause(2000);
-    assert!(scene.way_m() < 0.01, "it drives blindly");
+    assert!(scene.driven_m() < 0.01, "it drives blindly");
     scene.world.plug_camera(true);
     scene.drives("driving after the camera was plugged in again");
     scene.ends_well();
@@ -347,7 +359,7 @@ fn drives_and_stands_rightly_with(lidar: ScannerModel, fault_of_the_motor: &str)
     scene.drives_first();
     scene.world.lidar().unplug();
     scene.state_is("fault: no new scan from the LiDAR");
-    assert!(scene.way_m() < 0.01, "it drives without a scanner");
+    assert!(scene.driven_m() < 0.01, "it drives without a scanner");
     scene.world.lidar().plug_in().unwrap();
     scene.drives("driving after the scanner was plugged in again");
     scene.world.lidar().break_motor(true);
@@ -356,7 +368,7 @@ fn drives_and_stands_rightly_with(lidar: ScannerModel, fault_of_the_motor: &str)
         problem.is_some_and(|problem| problem.contains(fault_of_the_motor))
     });
     scene.state_is("fault: no new scan from the LiDAR");
-    assert!(scene.way_m() < 0.01, "it drives with a broken scanner");
+    assert!(scene.driven_m() < 0.01, "it drives with a broken scanner");
     scene.world.lidar().break_motor(false);
     scene.drives("driving after the scanner was repaired");
     let (touches, _) = scene.world.home().score();
@@ -380,10 +392,10 @@ fn a_motor_that_broke_down_needs_a_person_and_sigusr1_is_that_person() {
     scene.drives_first();
     scene.world.wheels()[1].faults().broken = true;
     scene.wait("a fault", |scene| scene.status().is_some_and(|status| status.safety.needs_person));
-    assert!(scene.way_m() < 0.01);
+    assert!(scene.driven_m() < 0.01);
     assert!(scene.health().1.contains("kill -USR1"));
     scene.world.wheels()[1].faults().broken = false;
-    assert!(scene.way_m() < 0.01, "nobody has looked yet");
+    assert!(scene.driven_m() < 0.01, "nobody has looked yet");
     let (_, before_m) = scene.world.home().score();
     scene.wait("driving after SIGUSR1", |scene| {
         scene.signal(Signal::USR1);
@@ -392,7 +404,7 @@ fn a_motor_that_broke_down_needs_a_person_and_sigusr1_is_that_person() {
     });
     scene.signal(Signal::USR2);
     scene.state_is("fault: the emergency stop is pressed");
-    assert!(scene.way_m() < 0.05, "it brakes within centimetres");
+    assert!(scene.driven_m() < 0.05, "it brakes within centimetres");
     scene.ends_well();
 }
 
@@ -402,7 +414,7 @@ fn an_order_over_the_live_view_stops_the_robot_until_another_one_arms_it() {
     scene.drives_first();
     order(&scene, "stop");
     scene.state_is("fault: the emergency stop is pressed");
-    assert!(scene.way_m() < 0.05, "it brakes within centimetres");
+    assert!(scene.driven_m() < 0.05, "it brakes within centimetres");
     let (_, before_m) = scene.world.home().score();
     scene.wait("driving after the order to arm", |scene| {
         order(scene, "arm");
@@ -450,14 +462,39 @@ fn motor_power_that_is_cut_and_restored_moves_nothing_before_sigusr1() {
 }
 
 #[test]
+fn a_usb_hub_that_resets_all_devices_at_once_stops_the_robot_until_a_person_arms_it() {
+    for protocol in [Protocol::Odrive, Protocol::Vesc, Protocol::Cia402] {
+        let mut scene = Scene::new(protocol);
+        scene.drives_first();
+        scene.world.power_usb_hub(false).unwrap();
+        scene.needs_person("the base cannot be driven");
+        scene.wait("all three devices gone", |scene| {
+            let text = scene.health().1;
+            ["! camera", "! LiDAR", "! base"].iter().all(|device| text.contains(device))
+        });
+        pause(2000);
+        assert!(scene.driven_m() < 0.01, "{protocol:?}: it drives without any device");
+        scene.world.power_usb_hub(true).unwrap();
+        scene.wait("all three devices back", |scene| {
+            scene.status().is_some_and(|status| {
+                [&status.camera, &status.lidar].iter().all(|device| device.state == "working")
+                    && status.base.reopened > 0
+            })
+        });
+        scene.stands_until_armed();
+        scene.ends_well();
+    }
+}
+
+#[test]
 fn the_safety_boards_emergency_stop_wins_and_survives_a_restart_of_the_program() {
-    let (mut scene, board) = Scene::with_board();
+    let (mut scene, board) = Scene::with_board(false);
     scene.drives_first();
     board.press(true);
     scene.needs_person("emergency stop");
-    assert!(scene.way_m() < 0.01);
+    assert!(scene.driven_m() < 0.01);
     scene.signal(Signal::USR1);
-    assert!(scene.way_m() < 0.01, "a pressed stop cannot be overruled");
+    assert!(scene.driven_m() < 0.01, "a pressed stop cannot be overruled");
     board.press(false);
     // The configuration says `arm_at_start`.
     scene.restart("second");
@@ -466,6 +503,45 @@ fn the_safety_boards_emergency_stop_wins_and_survives_a_restart_of_the_program()
     // Armed by a person, the next program may arm on its own again.
     scene.restart("third");
     scene.drives("driving after an ordinary restart");
+}
+
+#[test]
+fn an_emergency_stop_that_is_pressed_while_the_scanner_is_silent_wins() {
+    let (mut scene, board) = Scene::with_board(false);
+    scene.drives_first();
+    scene.world.lidar().unplug();
+    scene.state_is("fault: no new scan from the LiDAR");
+    board.press(true);
+    scene.needs_person("emergency stop");
+    scene.world.lidar().plug_in().unwrap();
+    scene.wait("a scanner that works again", |scene| {
+        scene.status().is_some_and(|status| status.lidar.state == "working")
+    });
+    board.press(false);
+    scene.stands_until_armed();
+    scene.ends_well();
+}
+
+#[test]
+fn an_emergency_stop_that_is_pressed_at_power_on_moves_nothing_when_it_is_released() {
+    // The configuration says `arm_at_start`.
+    let (mut scene, board) = Scene::with_board(true);
+    scene.needs_person("emergency stop");
+    board.press(false);
+    scene.stands_until_armed();
+    scene.ends_well();
+}
+
+#[test]
+fn a_safety_board_that_is_unplugged_stops_the_robot_and_moves_nothing_when_it_is_back() {
+    let (mut scene, board) = Scene::with_board(false);
+    scene.drives_first();
+    board.plug(false);
+    scene.needs_person("no message from the safety board");
+    assert!(scene.driven_m() < 0.01, "it drives without its board");
+    board.plug(true);
+    scene.stands_until_armed();
+    scene.ends_well();
 }
 
 #[test]
@@ -478,9 +554,9 @@ fn an_emergency_stop_on_an_input_line_wins_and_its_release_moves_nothing() {
     scene.drives_first();
     set_level(&line, "1");
     scene.needs_person("emergency stop");
-    assert!(scene.way_m() < 0.01 && scene.health().1.contains("pressed, or its wire is broken"));
+    assert!(scene.driven_m() < 0.01 && scene.health().1.contains("pressed, or its wire is broken"));
     scene.signal(Signal::USR1);
-    assert!(scene.way_m() < 0.01, "a pressed stop cannot be overruled");
+    assert!(scene.driven_m() < 0.01, "a pressed stop cannot be overruled");
     set_level(&line, "0");
     scene.stands_until_armed();
     std::fs::remove_file(&line).unwrap();
@@ -519,7 +595,10 @@ fn check_drive_measures_a_robot_in_a_home_and_leaves_its_motors_idle() {
     }
     let written: toml::Table = std::fs::read_to_string(measured).unwrap().parse().unwrap();
     assert!((0.01..0.2).contains(&number(&written, "braking_m")), "{written}");
-    assert!((0.01..0.3).contains(&number(&written, "roll_out_m")), "{written}");
+    // An ODrive's wheels coast when the commands end: at least as far as their speed takes them in their time constant.
+    let coasted_m = 0.8 * COAST_S * number(&written, "roll_out_speed_mps");
+    assert!((coasted_m..0.3).contains(&number(&written, "roll_out_m")), "{written}");
+    assert!(written["worse"].to_string().contains("roll-out"), "it rolls too far: {written}");
     assert!(number(&written, "lidar_yaw_deg").abs() < 5.0, "{written}");
     assert!(world.wheels().iter().all(|node| !node.is_powered()), "the motors are released");
     assert_eq!(world.home().score().0, 0, "it touched something");
@@ -623,6 +702,83 @@ fn killed_in_the_middle_the_wheels_stand_and_the_recording_replays() {
     pause(3000);
     let (well, text) = scene.health();
     assert!(!well && text.contains("the program (pid"), "{text}");
+}
+
+/// A wheel that is slower than this stands, m/s at the rim.
+const STANDING_MPS: f64 = 0.001;
+
+/// A wheel since the last command that its controller has received.
+#[derive(Debug, Clone, Copy, Default)]
+struct Rolling {
+    commanded_ns: u64,
+    commanded_at_m: f64,
+    at_m: f64,
+    speed_mps: f64,
+    fastest_mps: f64,
+}
+
+impl Rolling {
+    fn observe(&mut self, node: &dyn MotorNode, radius_m: f64) {
+        self.at_m = node.wheel().position_rad() * radius_m;
+        self.speed_mps = node.wheel().velocity_radps().abs() * radius_m;
+        if self.commanded_ns != node.watchdog().fed_ns {
+            self.commanded_ns = node.watchdog().fed_ns;
+            self.commanded_at_m = self.at_m;
+            self.fastest_mps = 0.0;
+        }
+        self.fastest_mps = self.fastest_mps.max(self.speed_mps);
+    }
+}
+
+/// Kills the program while the robot drives straight ahead at nearly its full speed, and waits until both wheels stand.
+fn rolls_out(scene: &mut Scene, base: &BaseConfig) -> [Rolling; 2] {
+    let mut wheels = [Rolling::default(); 2];
+    let observe = |wheels: &mut [Rolling; 2], scene: &Scene| {
+        for (wheel, node) in wheels.iter_mut().zip(scene.world.wheels().iter()) {
+            wheel.observe(node.as_ref(), base.wheel_radius_m);
+        }
+    };
+    scene.wait("full speed", |scene| {
+        observe(&mut wheels, scene);
+        wheels.iter().all(|wheel| wheel.speed_mps > 0.9 * base.limits.linear_mps)
+    });
+    scene.signal(Signal::KILL);
+    scene.robot.wait().unwrap();
+    let began = Instant::now();
+    while wheels.iter().any(|wheel| wheel.speed_mps > STANDING_MPS) {
+        assert!(began.elapsed() < PATIENCE, "the wheels roll for ever: {wheels:?}");
+        pause(1);
+        observe(&mut wheels, scene);
+    }
+    wheels
+}
+
+/// After the last command the wheels keep their speed until the watchdog has expired, at most one control period later than that if
+/// the command was on its way, and lose it then as the controller brakes or coasts: see `rig::decay_after_watchdog_s`. The simulated
+/// motors notice the expiry in a step, which a busy computer delays.
+#[test]
+fn the_wheels_of_a_killed_program_roll_as_far_as_their_controllers_brake_or_coast() {
+    for protocol in [Protocol::Odrive, Protocol::Vesc, Protocol::Cia402] {
+        let base = rig::config(protocol);
+        let mut scene = Scene::new(protocol);
+        scene.drives_first();
+        let wheels = rolls_out(&mut scene, &base);
+        let watchdog_s = f64::from(base.watchdog_ms) * 1e-3;
+        let late_s = 0.01 + 2.0 * scene.world.worst_late_ns() as f64 * 1e-9;
+        let decay_s = rig::decay_after_watchdog_s(protocol);
+        for wheel in wheels {
+            let rolled_m = wheel.at_m - wheel.commanded_at_m;
+            let most_m = 1.05 * wheel.fastest_mps * (watchdog_s + late_s + decay_s);
+            println!(
+                "{protocol:?}: {rolled_m:.3} m of {most_m:.3} m, {:.2} m/s",
+                wheel.fastest_mps
+            );
+            assert!(
+                rolled_m < most_m,
+                "{protocol:?}: {rolled_m} m, more than {most_m} m: {wheel:?}"
+            );
+        }
+    }
 }
 
 /// The robot's models, as another process sees them.

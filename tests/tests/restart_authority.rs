@@ -5,8 +5,9 @@
 
 use drivers::can::{BaseConfig, Protocol};
 use hal::{Base, ScanGeometry, Twist2};
-use hil::motor::Composition;
 use hil::motor::rig::config;
+use hil::motor::wheel::COAST_S;
+use hil::motor::{Composition, LineFaults};
 use runtime::event::FaultReason;
 use runtime::safety::SafetyState;
 
@@ -49,6 +50,18 @@ fn stands_until_a_person_arms_it(robot: &mut Composition, what: &str) {
     );
 }
 
+/// The wheels of released motors lose their speed of 0.2 m/s. The robot rolls as far as that takes it, and no wheel is driven.
+fn coasts_to_a_stop(robot: &mut Composition, what: &str) {
+    let before = robot.pose();
+    // After six time constants, 0.2 mm are left of the way.
+    for _ in 0..(6.0 * COAST_S / 0.01) as usize {
+        robot.step(None);
+        assert!(!robot.is_driven(), "{what}: driven in {:?}", robot.state());
+    }
+    let rolled_m = before.distance_m(&robot.pose());
+    assert!(rolled_m < robot.plan.linear_mps * COAST_S, "{what}: {rolled_m} m");
+}
+
 #[test]
 fn motors_that_lose_power_and_get_it_back_stand() {
     for protocol in ALL {
@@ -63,6 +76,7 @@ fn motors_that_lose_power_and_get_it_back_stand() {
                 node.faults().unpowered = false;
             }
             let what = format!("{protocol:?} off for {off_ms} ms");
+            coasts_to_a_stop(&mut robot, &what);
             stands_until_a_person_arms_it(&mut robot, &what);
         }
     }
@@ -86,7 +100,36 @@ fn a_controller_that_restarts_at_once_is_noticed() {
         let mut robot = driving(robot(protocol));
         robot.nodes[0].faults().reboot = true;
         robot.steps(20);
+        coasts_to_a_stop(&mut robot, &format!("{protocol:?}"));
         stands_until_a_person_arms_it(&mut robot, &format!("{protocol:?}"));
+    }
+}
+
+/// The scanner returns, or the CAN adapter.
+fn returns(robot: &mut Composition, is_scanner: bool) {
+    if is_scanner {
+        robot.silence_scanner(false);
+    } else {
+        robot.host.set_faults(LineFaults::default());
+    }
+}
+
+#[test]
+fn scanner_and_can_adapter_that_vanish_at_once_and_return_in_any_order_move_nothing() {
+    for protocol in ALL {
+        // A USB hub that was reset finds its devices one after the other.
+        for (scanner_first, steps_between) in [(true, 0), (true, 100), (false, 100)] {
+            let mut robot = driving(robot(protocol));
+            robot.silence_scanner(true);
+            robot.host.set_faults(LineFaults { gone: true, ..LineFaults::default() });
+            robot.steps(200);
+            assert_eq!(robot.state(), SafetyState::Fault(FaultReason::BaseFault), "{protocol:?}");
+            returns(&mut robot, scanner_first);
+            robot.steps(steps_between);
+            returns(&mut robot, !scanner_first);
+            let what = format!("{protocol:?} scanner first {scanner_first}, {steps_between} steps");
+            stands_until_a_person_arms_it(&mut robot, &what);
+        }
     }
 }
 
@@ -169,7 +212,9 @@ fn a_program_that_was_suspended_stands_when_it_resumes() {
             robot.pause(pause_ms * MS);
             robot.step(None);
             assert_eq!(robot.state(), SafetyState::Fault(FaultReason::LoopStalled), "{protocol:?}");
-            stands_until_a_person_arms_it(&mut robot, &format!("{protocol:?} {pause_ms} ms"));
+            let what = format!("{protocol:?} {pause_ms} ms");
+            coasts_to_a_stop(&mut robot, &what);
+            stands_until_a_person_arms_it(&mut robot, &what);
         }
     }
 }

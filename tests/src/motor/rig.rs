@@ -10,6 +10,7 @@ use super::odrive::{ENABLE_WATCHDOG_ENDPOINT, FIRMWARE, OdriveSim, WATCHDOG_TIME
 use super::outbox::Outbox;
 use super::power::Supplied;
 use super::vesc::{POLE_PAIRS, VescSim};
+use super::wheel::{COAST_S, LAG_S};
 
 /// Period of the control loop.
 pub const TICK_NS: u64 = 10_000_000;
@@ -27,6 +28,17 @@ pub fn config(protocol: Protocol) -> BaseConfig {
     config.cia402.velocity_units = COUNTS;
     config.cia402.position_units = COUNTS;
     config
+}
+
+/// Time constant with which a wheel loses its speed after the watchdog of its controller has expired, seconds: an ODrive releases the
+/// motor, a VESC brakes with `timeout_brake_current`, and a CiA 402 drive follows its quick-stop ramp. With the speed v, the wheel then
+/// rolls v times this time.
+#[must_use]
+pub fn decay_after_watchdog_s(protocol: Protocol) -> f64 {
+    match protocol {
+        Protocol::Odrive => COAST_S,
+        Protocol::Vesc | Protocol::Cia402 => LAG_S,
+    }
 }
 
 /// Creates a simulated controller with this protocol.

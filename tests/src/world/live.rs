@@ -25,7 +25,7 @@ use thread_priority::{
 use super::cables::{Cable, Cables};
 use super::sensors::HomeCamera;
 use super::{Home, ScannerModel, SimulatedScanner, output};
-use crate::motor::{Hub, MotorNode, Outbox, rig};
+use crate::motor::{Hub, MemoryBus, MotorNode, Outbox, rig};
 use crate::video::{Device, VideoFaults, serve, simulated};
 
 /// Period of the simulated motors.
@@ -88,6 +88,7 @@ pub struct LiveWorld {
     running: Arc<AtomicBool>,
     worst_late_ns: Arc<AtomicU64>,
     camera_plugged: Arc<AtomicBool>,
+    can_plugged: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
 
@@ -128,12 +129,14 @@ impl LiveWorld {
             running: Arc::new(AtomicBool::new(true)),
             worst_late_ns: Arc::default(),
             camera_plugged: Arc::new(AtomicBool::new(true)),
+            can_plugged: Arc::new(AtomicBool::new(true)),
             threads: Vec::new(),
             home: home.clone(),
         };
-        let bus: Box<dyn CanBus + Send> = match motors_at {
-            Some(cable) => Box::new(SocketBus::new(&cable.world)),
-            None => Box::new(Hub::bind(&dir.join("can"))?),
+        let plugged = Arc::clone(&live.can_plugged);
+        let bus = match motors_at {
+            Some(cable) => MotorBus::on_interface(&cable.world, plugged),
+            None => MotorBus::on_hub(dir.join("can"), plugged)?,
         };
         let wheels = Arc::clone(&live.wheels);
         let running = Arc::clone(&live.running);
@@ -207,6 +210,27 @@ impl LiveWorld {
     pub fn plug_camera(&self, on: bool) {
         self.camera_plugged.store(on, Ordering::Relaxed);
     }
+
+    /// Unplugs the robot's CAN adapter, or plugs it in again. The motors keep their power. An adapter that is reached through a
+    /// kernel driver stays.
+    pub fn plug_can(&self, on: bool) {
+        self.can_plugged.store(on, Ordering::Relaxed);
+    }
+
+    /// The USB hub that all devices of the robot are connected to loses its power, or gets it back: camera, scanner and CAN adapter
+    /// vanish or return at once.
+    ///
+    /// # Errors
+    /// When there is no pty for the scanner.
+    pub fn power_usb_hub(&self, on: bool) -> std::io::Result<()> {
+        self.plug_camera(on);
+        self.plug_can(on);
+        if on {
+            return self.lidar.plug_in();
+        }
+        self.lidar.unplug();
+        Ok(())
+    }
 }
 
 fn robots_end(cable: &Option<Cable>, else_here: String) -> String {
@@ -223,10 +247,47 @@ impl Drop for LiveWorld {
     }
 }
 
+/// The motors' end of the CAN bus.
+struct MotorBus {
+    bus: Box<dyn CanBus + Send>,
+    /// Path of the hub; `None` with an interface of the kernel.
+    hub: Option<PathBuf>,
+    /// Whether the robot's adapter has to be plugged in, and whether it is.
+    plugged: Arc<AtomicBool>,
+    is_plugged: bool,
+}
+
+impl MotorBus {
+    fn on_interface(name: &str, plugged: Arc<AtomicBool>) -> Self {
+        Self { bus: Box::new(SocketBus::new(name)), hub: None, plugged, is_plugged: true }
+    }
+
+    fn on_hub(path: PathBuf, plugged: Arc<AtomicBool>) -> std::io::Result<Self> {
+        let bus = Box::new(Hub::bind(&path)?);
+        Ok(Self { bus, hub: Some(path), plugged, is_plugged: true })
+    }
+
+    /// The bus on which the motors are now. Without the robot's adapter they are alone on it.
+    fn now(&mut self) -> &mut Box<dyn CanBus + Send> {
+        let plugged = self.plugged.load(Ordering::Relaxed);
+        if let Some(path) = self.hub.as_ref().filter(|_| plugged != self.is_plugged) {
+            self.is_plugged = plugged;
+            self.bus = Box::new(MemoryBus::new(0));
+            if plugged {
+                match Hub::bind(path) {
+                    Ok(hub) => self.bus = Box::new(hub),
+                    Err(error) => eprintln!("the CAN adapter cannot return: {error}"),
+                }
+            }
+        }
+        &mut self.bus
+    }
+}
+
 fn run_motors(
     home: &Home,
     wheels: &Wheels,
-    mut bus: Box<dyn CanBus + Send>,
+    mut bus: MotorBus,
     running: &AtomicBool,
     worst_late_ns: &AtomicU64,
 ) {
@@ -241,7 +302,7 @@ fn run_motors(
         clock.sleep_until_ns(due_ns);
         worst_late_ns.fetch_max(clock.now_ns().saturating_sub(planned_ns), Ordering::Relaxed);
         let mut wheels = wheels.lock().unwrap_or_else(PoisonError::into_inner);
-        rig::step_nodes(&mut *wheels, &mut bus, due_ns, &mut outbox);
+        rig::step_nodes(&mut *wheels, bus.now(), due_ns, &mut outbox);
         home.advance(due_ns - start_ns, &mut wheels);
     }
 }

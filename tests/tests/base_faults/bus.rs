@@ -37,6 +37,28 @@ fn after_a_bus_off_no_motion_is_sent_until_the_base_is_armed_again() {
     }
 }
 
+/// An interface without `restart-ms`: the kernel leaves its controller off the bus.
+#[test]
+fn a_controller_that_stays_bus_off_is_never_armed_and_drives_again_after_its_restart() {
+    for protocol in ALL {
+        let mut rig = driving(protocol);
+        rig.host.bus_off();
+        assert_eq!(rig.drive(0.2, 0.0), Err(CanError::Tripped(Trip::BusOff)));
+        for _ in 0..3 {
+            assert!(rig.arm().is_err(), "{protocol:?}: armed without a bus");
+        }
+        assert!(is_stopped(&rig), "{protocol:?}");
+        // An administrator restarts it: `ip link set can0 type can restart`.
+        rig.host.restart();
+        assert!(rig.is_ready_after(1000), "{protocol:?}: {}", rig.base.explain());
+        rig.arm().unwrap_or_else(|error| panic!("{protocol:?}: {error}; {}", rig.base.explain()));
+        for _ in 0..100 {
+            rig.drive(0.2, 0.0).expect("armed again");
+        }
+        assert!(!is_stopped(&rig), "{protocol:?}");
+    }
+}
+
 #[test]
 fn a_bus_that_goes_off_repeatedly_is_retried_with_an_increasing_delay() {
     let mut rig = driving(Protocol::Odrive);

@@ -4,7 +4,7 @@
 
 use drivers::can::{CanError, CanFrame, CanId, Protocol};
 use hil::motor::Rig;
-use hil::motor::rig::config;
+use hil::motor::rig::{TICK_NS, config};
 mod bus;
 mod commands;
 mod motors;
@@ -12,6 +12,8 @@ mod protocols;
 
 const ALL: [Protocol; 3] = [Protocol::Odrive, Protocol::Vesc, Protocol::Cia402];
 const MS: u64 = 1_000_000;
+/// A wheel that is slower than this stands, rad/s: 0.5 mm/s.
+const STANDING_RADPS: f64 = 0.01;
 
 fn rig(protocol: Protocol) -> Rig {
     Rig::new(&config(protocol)).expect("a sound configuration")
@@ -51,7 +53,23 @@ fn motion_frames(rig: &Rig) -> usize {
 }
 
 fn is_stopped(rig: &Rig) -> bool {
-    rig.wheels_radps().iter().all(|speed| speed.abs() < 0.01)
+    rig.wheels_radps().iter().all(|speed| speed.abs() < STANDING_RADPS)
+}
+
+/// Lets the wheels roll until they stand. A wheel that loses its speed v with a time constant rolls v times that constant, and has lost
+/// all but a share s of the speed after ln(1 / s) times it. `tick` is the control loop, or what is left of it.
+fn rolls_out(rig: &mut Rig, decay_s: f64, tick: impl Fn(&mut Rig), what: &str) {
+    let speeds = rig.wheels_radps();
+    let before = rig.nodes.each_ref().map(|node| node.wheel().position_rad());
+    let fastest = speeds.iter().fold(STANDING_RADPS, |most, speed| most.max(speed.abs()));
+    let seconds = decay_s * (fastest / STANDING_RADPS).ln();
+    let ticks = (seconds * 1e9 / TICK_NS as f64) as usize + 2;
+    (0..ticks).for_each(|_| tick(rig));
+    assert!(is_stopped(rig), "{what}: {:?} after {ticks} ticks", rig.wheels_radps());
+    for (node, before) in rig.nodes.iter().zip(before) {
+        let rolled_rad = (node.wheel().position_rad() - before).abs();
+        assert!(rolled_rad <= fastest * decay_s, "{what}: {rolled_rad} rad from {fastest} rad/s");
+    }
 }
 
 #[test]

@@ -4,8 +4,11 @@ use drivers::can::{BaseConfig, CanError, Phase, Protocol, Side, Trip};
 use hal::{Error, ErrorKind};
 use hil::motor::Rig;
 use hil::motor::rig::config;
+use hil::motor::wheel::{COAST_S, LAG_S};
 
-use super::{ALL, MS, armed, driving, is_stopped, motion_frames, motion_frames_after, rig};
+use super::{
+    ALL, MS, armed, driving, is_stopped, motion_frames, motion_frames_after, rig, rolls_out,
+};
 
 #[test]
 fn feedback_that_stops_for_100_ms_stops_the_base() {
@@ -70,8 +73,8 @@ fn a_controller_that_restarts_while_driving_stops_the_base() {
             "{protocol:?}: {}",
             rig.base.explain()
         );
-        (0..30).for_each(|_| rig.poll());
-        assert!(is_stopped(&rig), "{protocol:?}");
+        // The wheel of the controller that has restarted is not powered: it coasts.
+        rolls_out(&mut rig, COAST_S, Rig::poll, &format!("{protocol:?}"));
     }
 }
 
@@ -126,8 +129,9 @@ fn a_fault_of_a_motor_stops_both_and_is_cleared_by_arming_once_it_is_gone() {
         rig.nodes[0].faults().broken = true;
         (0..30).for_each(|_| drop(rig.drive(0.2, 0.0)));
         assert_eq!(rig.base.phase(), Phase::Tripped(Trip::MotorFault(Side::Left)), "{protocol:?}");
-        (0..30).for_each(|_| rig.poll());
-        assert!(is_stopped(&rig), "{protocol:?}");
+        // With a fault, ODrive and VESC release the motor, and a CiA 402 drive brakes.
+        let decay_s = if protocol == Protocol::Cia402 { LAG_S } else { COAST_S };
+        rolls_out(&mut rig, decay_s, Rig::poll, &format!("{protocol:?}"));
         assert!(rig.arm().is_err(), "{protocol:?}: still broken");
         rig.nodes[0].faults().broken = false;
         (0..150).for_each(|_| rig.poll());
