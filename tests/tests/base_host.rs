@@ -8,6 +8,7 @@ use std::process::{Child, Command, Stdio};
 use drivers::can::Protocol;
 use hal::Clock;
 use hil::motor::rig::{decay_after_watchdog_s, node, step_nodes};
+use hil::motor::wheel::STANDING_RADPS;
 use hil::motor::{Drive, Hub, MotorNode, Outbox};
 use monotonic_clock::MonotonicClock;
 use rustix::process::{Pid, Signal, kill_process};
@@ -21,8 +22,6 @@ const WATCHDOG_NS: u64 = 100 * MS;
 /// Speed of the wheels at the default of `hil base`, 0.2 m/s, and the radius of the wheels.
 const SPEED_RADPS: f64 = 4.0;
 const RADIUS_M: f64 = 0.05;
-/// A wheel that is slower than this stands, rad/s: 0.5 mm/s.
-const STANDING_RADPS: f64 = 0.01;
 
 /// Two controllers with their own clock: one step takes a millisecond of it, and longer in real
 /// time when the computer is busy.

@@ -8,6 +8,9 @@ pub const LAG_S: f64 = 0.03;
 /// this time constant rolls 15 cm. A gear with a high ratio stops earlier; a heavy robot on smooth wheels rolls further.
 pub const COAST_S: f64 = 0.5;
 
+/// A wheel that is slower than this stands, rad/s: 0.5 mm/s at a radius of 5 cm.
+pub const STANDING_RADPS: f64 = 0.01;
+
 /// How the controller drives the motor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Drive {

@@ -5,6 +5,7 @@
 use drivers::can::{CanError, CanFrame, CanId, Protocol};
 use hil::motor::Rig;
 use hil::motor::rig::{TICK_NS, config};
+use hil::motor::wheel::STANDING_RADPS;
 mod bus;
 mod commands;
 mod motors;
@@ -12,8 +13,6 @@ mod protocols;
 
 const ALL: [Protocol; 3] = [Protocol::Odrive, Protocol::Vesc, Protocol::Cia402];
 const MS: u64 = 1_000_000;
-/// A wheel that is slower than this stands, rad/s: 0.5 mm/s.
-const STANDING_RADPS: f64 = 0.01;
 
 fn rig(protocol: Protocol) -> Rig {
     Rig::new(&config(protocol)).expect("a sound configuration")
