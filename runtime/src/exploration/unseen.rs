@@ -4,12 +4,11 @@ use core::f64::consts::TAU;
 
 use crate::mapping::{CellState, OccupancyGrid};
 
-/// Rays around the place. They are 0.26 m apart where they end.
+/// Rays around the place. At 2 m they are 0.26 m apart.
 const RAYS: u32 = 48;
-/// The scanner and the camera clear floor up to this distance, metres (`map.mark_range_m`).
-const REACH_M: f64 = 2.0;
 
-/// Unknown floor around a place in `map`, metres, up to obstacles; in square metres.
+/// Unknown floor around a place in `map`, metres, up to obstacles and to the range at which the map takes floor for free; in square
+/// metres.
 pub(super) fn unseen_m2(map: &OccupancyGrid, [x_m, y_m]: [f64; 2]) -> f64 {
     let rays = (0..RAYS).map(|ray| f64::from(ray) * TAU / f64::from(RAYS));
     rays.map(|bearing_rad| unseen_along_m2(map, [x_m, y_m], bearing_rad)).sum()
@@ -19,7 +18,7 @@ pub(super) fn unseen_m2(map: &OccupancyGrid, [x_m, y_m]: [f64; 2]) -> f64 {
 fn unseen_along_m2(map: &OccupancyGrid, [x_m, y_m]: [f64; 2], bearing_rad: f64) -> f64 {
     let (sin, cos) = bearing_rad.sin_cos();
     let step_m = map.cell_m();
-    let steps = (REACH_M / step_m) as u32;
+    let steps = (f64::from(map.config().clear_range_m) / step_m) as u32;
     let mut unseen_m2 = 0.0;
     for step in 1..=steps {
         let range_m = f64::from(step) * step_m;
@@ -39,6 +38,9 @@ mod tests {
     use core::f64::consts::PI;
     use hal::{LaserScan, Pose2, Range, ScanGeometry};
 
+    /// Area of the disc that the default map may clear at once, square metres.
+    const DISC_M2: f64 = PI * 2.0 * 2.0;
+
     /// A map after scans from the origin, forward and backward, within a ring of this radius.
     fn ring(radius_m: f32) -> OccupancyGrid {
         let mut map = OccupancyGrid::new(&MapConfig::default()).unwrap();
@@ -57,7 +59,7 @@ mod tests {
     fn everything_within_reach_may_be_seen_where_nothing_is_known() {
         let map = OccupancyGrid::new(&MapConfig::default()).unwrap();
         let unseen_m2 = unseen_m2(&map, [0.01, 0.02]);
-        assert!((unseen_m2 / (PI * REACH_M * REACH_M) - 1.0).abs() < 0.02, "{unseen_m2}");
+        assert!((unseen_m2 / DISC_M2 - 1.0).abs() < 0.02, "{unseen_m2}");
     }
 
     #[test]
@@ -76,6 +78,6 @@ mod tests {
         let middle_m2 = unseen_m2(&map, [0.0, 0.0]);
         let edge_m2 = unseen_m2(&map, [1.9, 0.0]);
         assert!(middle_m2 < 0.5, "{middle_m2}");
-        assert!((0.4..0.7).contains(&(edge_m2 / (PI * REACH_M * REACH_M))), "{edge_m2}");
+        assert!((0.4..0.7).contains(&(edge_m2 / DISC_M2)), "{edge_m2}");
     }
 }

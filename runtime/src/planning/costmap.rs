@@ -185,31 +185,21 @@ impl Costmap {
     /// Looks for stairs in the map: cells around which all cells up to [`STAIRS_CELLS`] away hold drops. Returns whether there are any.
     fn find_stairs(&mut self, grid: &OccupancyGrid, cells: CellBox) -> bool {
         let reach = reach_of(&self.drop_table);
-        let width = cells.width();
-        self.drop_distances.reset(width, cells.height());
+        let border = core::iter::repeat_n(false, STAIRS_CELLS);
         let mut all_drops = core::mem::take(&mut self.all_drops);
         let mut has_stairs = false;
         for (row, y) in (cells.min.y..=cells.max.y).enumerate() {
-            all_drops.clear();
-            all_drops.resize(width, true);
-            let around = y - STAIRS_CELLS as i32..=y + STAIRS_CELLS as i32;
-            let is_possible = around.into_iter().all(|near_y| {
-                let drops = grid.drops_in_row(near_y, cells.min.x, width);
-                drops.is_some_and(|drops| {
-                    all_drops.iter_mut().zip(drops).for_each(|(all, drop)| *all &= drop);
-                    true
-                })
-            });
-            if is_possible {
-                let is_stair = |x: usize| {
-                    let window = x.checked_sub(STAIRS_CELLS).map(|left| left..=x + STAIRS_CELLS);
-                    window
-                        .and_then(|window| all_drops.get(window))
-                        .is_some_and(|all| !all.contains(&false))
-                };
-                self.drop_distances.set_row(row, (0..width).map(is_stair), reach);
+            if !columns_of_drops(grid, cells, y, &mut all_drops) {
+                continue;
+            }
+            if !has_stairs {
+                self.drop_distances.reset(cells.width(), cells.height());
                 has_stairs = true;
             }
+            let around = all_drops.windows(2 * STAIRS_CELLS + 1);
+            let inner = around.map(|around| !around.contains(&false));
+            let stairs = border.clone().chain(inner).chain(border.clone());
+            self.drop_distances.set_row(row, stairs, reach);
         }
         self.all_drops = all_drops;
         has_stairs
@@ -371,7 +361,7 @@ impl Costmap {
     }
 
     /// Distance to the nearest obstacle, metres; `None` if there is none within the inflation
-    /// radius.
+    /// radius. Stairs count as nearer than they are, by the planner's margin from them.
     #[must_use]
     pub fn clearance_m(&self, cell: Cell) -> Option<f64> {
         let clearance2 = self.clearance2(self.index(cell)?);
@@ -422,6 +412,27 @@ fn quantised(weight: f64) -> u8 {
 
 // All other fields are computed again before they are used.
 remembers!(Costmap: keep_out);
+
+/// Marks the columns in which this row and those up to [`STAIRS_CELLS`] beside it hold drops. Returns whether each of the rows has some.
+fn columns_of_drops(
+    grid: &OccupancyGrid,
+    cells: CellBox,
+    y: i32,
+    all_drops: &mut Vec<bool>,
+) -> bool {
+    all_drops.clear();
+    all_drops.resize(cells.width(), true);
+    let beside = STAIRS_CELLS as i32;
+    for near_y in y - beside..=y + beside {
+        let Some(drops) = grid.drops_in_row(near_y, cells.min.x, cells.width()) else {
+            return false;
+        };
+        for (all, drop) in all_drops.iter_mut().zip(drops) {
+            *all &= drop;
+        }
+    }
+    true
+}
 
 /// The largest distance in a table of squared distances that begins with 0.
 fn reach_of(table: &[u16]) -> u16 {
