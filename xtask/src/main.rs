@@ -145,7 +145,7 @@ enum Chore {
         #[arg(long)]
         update: bool,
     },
-    /// Explore four homes and compare depth, map and touches with the committed figures. Takes two minutes on two cores.
+    /// Explore four homes and compare depth, map and touches with the committed figures. The drives take about a minute on two cores.
     Quality {
         /// Write the figures to docs/data/quality.json instead of comparing with them.
         #[arg(long)]
