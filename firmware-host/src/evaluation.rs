@@ -10,6 +10,7 @@ use runtime::tick::Decision;
 use crate::report::coverage::Coverage;
 use crate::report::events::EventCounts;
 use crate::report::goal_log::GoalLog;
+use crate::report::held::HeldMeter;
 use crate::report::map_image::Goal;
 use crate::report::pose_error::{PoseError, PosePair};
 use crate::report::stuck::StuckMeter;
@@ -31,6 +32,7 @@ pub struct Evaluation {
     constant: ConstantBaseline,
     coverage: Option<Coverage>,
     stuck: StuckMeter,
+    held: HeldMeter,
     events: EventCounts,
     collisions: u64,
     in_contact: bool,
@@ -72,6 +74,7 @@ impl Evaluation {
             constant: ConstantBaseline::new(),
             coverage,
             stuck: StuckMeter::default(),
+            held: HeldMeter::default(),
             events: EventCounts::driving(),
             collisions: 0,
             in_contact: false,
@@ -100,6 +103,7 @@ impl Evaluation {
             self.compare_depth(robot, depth)?;
         }
         self.stuck.frame(truth.pose);
+        self.held.frame(decision.desired, decision.sent);
         if let Some(last) = self.last_truth.replace(truth.pose) {
             self.path_m += last.distance_m(&truth.pose);
         }
@@ -221,6 +225,7 @@ impl Evaluation {
         summary.collisions = Some(self.collisions);
         summary.edge_approaches = (self.edge_approaches > 0).then_some(self.edge_approaches);
         summary.fell = self.fell.then_some(true);
+        summary.held_frames = Some(self.held.frames());
         summary.stuck_frames = Some(self.stuck.frames());
         summary.stuck_longest_frames = Some(self.stuck.longest());
         summary.events = self.events.clone();

@@ -8,6 +8,7 @@ use comfy_table::{ContentArrangement, Table, presets::NOTHING};
 use hal::Clock;
 use monotonic_clock::MonotonicClock;
 use runtime::lidar_agreement::AgreementStats;
+use runtime::safety::WheelError;
 
 use crate::cli::HealthArgs;
 use crate::failure::sentence;
@@ -90,6 +91,15 @@ fn screen(status: &Status, now_unix_s: f64, columns: Option<usize>) -> String {
         safety.state,
         span(safety.for_s),
         safety.stops
+    );
+    let most = WheelError::MOST;
+    let _ = writeln!(
+        out,
+        "wheels       {:+.2} m and {:+.0} degrees from the scanner's motion; the robot stops at {:.2} m or {:.0} degrees",
+        safety.wheel_error_m,
+        safety.wheel_error_deg,
+        most.forward_m,
+        most.yaw_rad.to_degrees()
     );
     let priority =
         if safety.realtime { "with real-time priority" } else { "without real-time priority" };

@@ -49,6 +49,7 @@ pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> Robo
         focal_scale: 1.0 + simulator.truth.focal_percent / 100.0,
         rolling_shutter_s: simulator.rolling_shutter_s,
         floor_tilt_rad: simulator.floor_tilt_deg.to_radians(),
+        cliff_sensors: simulator.cliff_sensors,
         seed,
         start,
         ..RobotOptions::default()

@@ -73,6 +73,8 @@ pub struct WheelFeedback {
     pub twist: Twist2,
     /// The base touches an obstacle: a bumper switch is pressed, or the wheels are stalled.
     pub contact: bool,
+    /// A cliff sensor in front of the wheels sees no floor.
+    pub cliff: bool,
 }
 
 /// The supply and the temperature of a base, as its motor controllers report them. A value that

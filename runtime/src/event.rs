@@ -160,7 +160,7 @@ pub enum NoGoalReason {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum SafetyEvent {
-    /// It stopped the robot: an obstacle is in the stop zone, or the base reports a contact.
+    /// It stopped the robot: an obstacle is in the stop zone, or the base reports a contact or a cliff.
     Tripped {
         /// What detected the obstacle.
         by: TripCause,
@@ -227,7 +227,7 @@ pub enum FaultReason {
     SafetyBoardSilent,
     /// The safety loop, the program or the computer paused for longer than half a second.
     LoopStalled,
-    /// Three contacts at one place in a short time.
+    /// Three contacts or cliffs at one place in a short time.
     RepeatedContact,
     /// The scanner repeats one scan while the wheels move.
     LidarFrozen,
@@ -269,6 +269,8 @@ pub enum TripCause {
     LidarTooNear,
     /// The base reported a contact.
     Contact,
+    /// A cliff sensor of the base saw no floor.
+    Cliff,
 }
 
 /// Why backing off ended.

@@ -102,7 +102,9 @@ fn cantools_reads_and_writes_our_frames_by_our_dbc_file() {
         let phase = (k % 5) as u8;
         let trip = (k % 10) as u8;
         let state = BaseState { counter, phase, trip, estop: a, contact: b, twist }.encode();
-        let safety = SafetyInput { counter, estop: a, bumper: b }.encode();
+        let cliff = rng.random();
+        let safety = SafetyInput { counter, estop: a, bumper: b, cliff }.encode();
+        let cliff = u8::from(cliff);
         let a = u8::from(a);
         let b = u8::from(b);
         let json = [
@@ -118,7 +120,7 @@ fn cantools_reads_and_writes_our_frames_by_our_dbc_file() {
                     r#""Phase": {phase}, "Trip": {trip}, "EStop": {a}, "Contact": {b}, "Linear": {linear}"#
                 ),
             ),
-            (safety, format!(r#""EStop": {a}, "Bumper": {b}"#)),
+            (safety, format!(r#""EStop": {a}, "Bumper": {b}, "Cliff": {cliff}"#)),
         ];
         for (frame, fields) in json {
             writeln!(lines, r#"{frame} {{"Counter": {counter}, {fields}}}"#)

@@ -1,4 +1,5 @@
-//! `cargo xtask stairs`: explores homes with stairs down, with the default camera and with the paper's level one.
+//! `cargo xtask stairs`: explores homes with stairs down, with the default camera, and with the paper's level one without and with
+//! cliff sensors.
 
 use anyhow::{Context, Result};
 use serde_json::Value;
@@ -19,7 +20,7 @@ struct Mount {
 }
 
 /// The constants of the map were chosen with the first ten homes and four of the others.
-const MOUNTS: [Mount; 2] = [
+const MOUNTS: [Mount; 3] = [
     Mount {
         camera: "16 degrees down (default)",
         name: "default",
@@ -30,6 +31,15 @@ const MOUNTS: [Mount; 2] = [
         camera: "level",
         name: "level-preset",
         config: include_str!("../../firmware-host/presets/level-camera.toml"),
+        homes: [("apartment", 4), ("house", 3), ("office", 3)],
+    },
+    Mount {
+        camera: "level, with cliff sensors",
+        name: "level-cliff-sensors",
+        config: concat!(
+            include_str!("../../firmware-host/presets/level-camera.toml"),
+            "\n[simulator]\ncliff_sensors = true\n"
+        ),
         homes: [("apartment", 4), ("house", 3), ("office", 3)],
     },
 ];

@@ -48,7 +48,7 @@ pub struct BaseState {
     pub twist: Twist2,
 }
 
-/// The inputs of a safety board: its emergency stop and bumper switches.
+/// The inputs of a safety board: its emergency stop, bumper switches and cliff sensors.
 ///
 /// The emergency stop has two channels with opposite levels, `EStop` and `Released` of
 /// `embodied.dbc`. Equal levels mean a broken wire or a contact that sticks, and count as pressed.
@@ -59,6 +59,8 @@ pub struct SafetyInput {
     /// The emergency stop is pressed, or its two channels contradict each other.
     pub estop: bool,
     pub bumper: bool,
+    /// A cliff sensor sees no floor.
+    pub cliff: bool,
 }
 
 /// Why a frame is not one of these messages.
@@ -161,7 +163,8 @@ impl SafetyInput {
         let flags = self.counter & 0x0f
             | u8::from(self.estop) << 4
             | u8::from(self.bumper) << 5
-            | u8::from(!self.estop) << 6;
+            | u8::from(!self.estop) << 6
+            | u8::from(self.cliff) << 7;
         with_checksum(SAFETY_ID, [0, flags, 0, 0, 0, 0, 0, 0], 2)
     }
 
@@ -175,7 +178,12 @@ impl SafetyInput {
         };
         let pressed = flags & 0x10 != 0;
         let released = flags & 0x40 != 0;
-        Ok(Self { counter: flags & 0x0f, estop: pressed || !released, bumper: flags & 0x20 != 0 })
+        Ok(Self {
+            counter: flags & 0x0f,
+            estop: pressed || !released,
+            bumper: flags & 0x20 != 0,
+            cliff: flags & 0x80 != 0,
+        })
     }
 }
 

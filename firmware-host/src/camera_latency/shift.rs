@@ -260,6 +260,7 @@ mod tests {
                 odom: Pose2::new(0.0, 0.0, wrap_angle(yaw_rad)),
                 twist: Twist2 { linear_mps: 0.0, angular_radps },
                 contact: false,
+                cliff: false,
             });
             let after_rad = gain * swing(time_s - latency_s).0;
             let before_rad = gain * swing(time_s - 0.1 - latency_s).0;

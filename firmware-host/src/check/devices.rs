@@ -280,16 +280,21 @@ fn test_base(config: &BaseConfig) -> Finding {
     let problem =
         match (device.check(), device.motors().into_iter().find_map(|motor| motor.problem)) {
             (Ok(()), None) if state == DeviceState::Working => {
-                return Finding::usable("base", config.bus.clone(), details);
+                let advice = kernel_interface(config).and_then(nearby::bus_off_restart);
+                return Finding::usable("base", config.bus.clone(), details).advise(advice);
             }
             (Err(CanError::Tripped(trip)), _) => trip.to_string(),
             (Err(error), _) => error.to_string(),
             (Ok(()), _) => device.explain(),
         };
     let state = if state == DeviceState::Working { DeviceState::Faulty } else { state };
-    let interface =
-        if config.bus.starts_with("unix:") { None } else { nearby::can_interface(&config.bus) };
+    let interface = kernel_interface(config).and_then(nearby::can_interface);
     Finding::unusable("base", config.bus.clone(), state, details, problem).advise(interface)
+}
+
+/// The name of the base's CAN interface; `None` for a simulated bus.
+fn kernel_interface(config: &BaseConfig) -> Option<&str> {
+    (!config.bus.starts_with("unix:")).then_some(config.bus.as_str())
 }
 
 /// The emergency stop on an input line of the computer; `None` if there is none.

@@ -2,6 +2,7 @@
 //! CAN interfaces.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// `ARPHRD_CAN` of linux/if_arp.h.
 const ARPHRD_CAN: &str = "280";
@@ -111,6 +112,27 @@ pub fn interface(folder: &Path, name: &str) -> Option<String> {
     ))
 }
 
+/// What to do if the kernel leaves a CAN controller off the bus after too many errors; `None` if it restarts the controller, or if
+/// that cannot be read, as from an interface without a controller.
+pub fn bus_off_restart(name: &str) -> Option<String> {
+    let output =
+        Command::new("ip").args(["-details", "link", "show", "dev", name]).output().ok()?;
+    let details = String::from_utf8_lossy(&output.stdout);
+    (restart_ms(&details)? == 0).then(|| {
+        format!(
+            "{name} stays off the bus after too many errors, because its `restart-ms` is 0: run `ip link set {name} down` and \
+             `ip link set {name} up type can restart-ms 100` as root"
+        )
+    })
+}
+
+/// The time after which the kernel restarts a controller, 0 for never, in the output of `ip -details link show`.
+fn restart_ms(details: &str) -> Option<u32> {
+    let mut words = details.split_whitespace();
+    words.find(|word| *word == "restart-ms")?;
+    words.next()?.parse().ok()
+}
+
 /// Whether an interface is one of CAN.
 pub fn is_can(interface: &Path) -> bool {
     attribute(interface, "type").trim() == ARPHRD_CAN
@@ -147,6 +169,18 @@ mod tests {
         );
         make(folder.path(), "can0", "280", "0x40081");
         assert_eq!(interface(folder.path(), "can0"), None);
+    }
+
+    #[test]
+    fn the_restart_time_of_a_controller_is_read_from_the_details_of_its_interface() {
+        let details = "3: can0: <NOARP,UP,LOWER_UP,ECHO> mtu 16 qdisc pfifo_fast state UP mode DEFAULT group default qlen 10\n    \
+                       link/can  promiscuity 0 minmtu 0 maxmtu 0\n    can state ERROR-ACTIVE restart-ms 100\n\t  bitrate 500000 \
+                       sample-point 0.875\n";
+        assert_eq!(restart_ms(details), Some(100));
+        assert_eq!(restart_ms(&details.replace("restart-ms 100", "restart-ms 0")), Some(0));
+        let without_controller = "4: vcan0: <NOARP,UP,LOWER_UP> mtu 72 qdisc noqueue state UNKNOWN\n    link/can\n    vcan\n";
+        assert_eq!(restart_ms(without_controller), None);
+        assert_eq!(bus_off_restart("no-such-interface"), None);
     }
 
     #[test]

@@ -115,6 +115,8 @@ hal::settings! {
         rolling_shutter_s: f64 = 0.0, in 0.0..=0.3, unit "s";
         /// Root mean square of the floor's slope, which tilts the robot.
         floor_tilt_deg: f64 = FLOOR_TILT_DEG, in 0.0..=5.0, unit "degrees", source "DIN 18202: 4 mm on 1 m";
+        /// Whether the base has three cliff sensors at its front edge, ahead and 45 degrees to both sides.
+        cliff_sensors: bool = false;
         /// Standard deviation of a LiDAR range up to 10 m; three times this beyond.
         lidar_noise_m: f64 = LaserModel::UTM_30LX.noise_near_m, in 0.0..=0.2, unit "m", source "UTM-30LX";
         /// Fraction of the LiDAR beams that hit something and return nothing.

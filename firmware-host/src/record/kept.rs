@@ -60,6 +60,7 @@ fn keep(folder: &Path, segment: u32, why: &str) -> anyhow::Result<()> {
 fn why_kept(event: &SafetyEvent) -> Option<&'static str> {
     match event {
         SafetyEvent::Tripped { by: TripCause::Contact, .. } => Some("contact"),
+        SafetyEvent::Tripped { by: TripCause::Cliff, .. } => Some("cliff"),
         SafetyEvent::Faulted { why } if why.needs_person() => Some(fault_reason(*why)),
         _ => None,
     }

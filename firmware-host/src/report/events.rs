@@ -43,6 +43,9 @@ pub struct EventCounts {
     /// Number of escapes: rotations out of a place where the robot tripped repeatedly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bumper_escapes: Option<u64>,
+    /// Number of times that the robot stood because the scanner did not see the path ahead; absent if it never did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub view_lost: Option<u64>,
     /// Times that the robot did not know where it was, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub lost: Reasons,
@@ -93,6 +96,9 @@ impl EventCounts {
             Event::Safety { what: SafetyEvent::Tripped { by, .. } } => {
                 *self.bumper_trips.get_or_insert(0) += 1;
                 count(&mut self.bumper_trips_by, by);
+            }
+            Event::Safety { what: SafetyEvent::ViewLost } => {
+                *self.view_lost.get_or_insert(0) += 1;
             }
             Event::Safety { what: SafetyEvent::Faulted { why } } => {
                 count(&mut self.safety_faults, why);
@@ -147,6 +153,7 @@ mod tests {
                 what: SafetyEvent::BackedOff { distance_m: 0.2, end: BackOffEnd::Distance },
             },
             Event::Safety { what: SafetyEvent::Escaping },
+            Event::Safety { what: SafetyEvent::ViewLost },
         ];
         events.iter().for_each(|event| counts.add(event));
         let goals = counts.goals.unwrap();
@@ -157,6 +164,7 @@ mod tests {
         assert_eq!((goals.reached, goals.dropped["no_progress"]), (1, 1));
         assert_eq!(counts.no_depth, Reasons::from([("too_little_parallax".into(), 2)]));
         assert_eq!((counts.bumper_trips, counts.bumper_escapes), (Some(2), Some(1)));
+        assert_eq!(counts.view_lost, Some(1));
         assert_eq!(
             counts.bumper_trips_by,
             Reasons::from([("contact".into(), 1), ("lidar_hit".into(), 1)])

@@ -14,6 +14,7 @@ pub mod depth_sheet;
 pub mod events;
 pub mod fit;
 pub mod goal_log;
+pub mod held;
 pub mod known_cells;
 pub mod latency;
 pub mod map_image;

@@ -95,6 +95,9 @@ pub struct Summary {
     /// Whether the robot fell over such an edge, which ends the run; absent if it did not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fell: Option<bool>,
+    /// Number of frames in which the safety plane held the robot ([`HeldMeter`](super::held::HeldMeter)).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held_frames: Option<u64>,
     /// Number of frames in which the robot made no progress
     /// ([`StuckMeter`](super::stuck::StuckMeter)).
     #[serde(skip_serializing_if = "Option::is_none")]

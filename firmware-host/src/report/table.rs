@@ -64,10 +64,7 @@ fn title(text: &mut String, summary: &Summary) {
 /// Labels and values of all lines. Lines with an empty value are left out.
 fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
     let events = &summary.events;
-    let mut trips = counted(&events.bumper_trips_by, "trips");
-    if let Some(escapes) = events.bumper_escapes.filter(|escapes| *escapes > 0) {
-        let _ = write!(trips, ", {escapes} {}", if escapes == 1 { "escape" } else { "escapes" });
-    }
+    let trips = stops(summary);
     let goals = events.goals.clone().unwrap_or_default();
     let [chosen, dropped] =
         [&goals.chosen, &goals.dropped].map(|reasons| reasons.values().sum::<u64>());
@@ -182,6 +179,28 @@ fn pose(summary: &Summary) -> String {
         "{drift}{:.2} m off over the run, heading {:.1} degrees off at the end",
         error.ate_m, error.yaw_end_deg
     )
+}
+
+/// What the safety plane stopped, and for how long.
+fn stops(summary: &Summary) -> String {
+    let events = &summary.events;
+    let trips = Some(counted(&events.bumper_trips_by, "trips")).filter(|trips| !trips.is_empty());
+    let escapes = events.bumper_escapes.filter(|escapes| *escapes > 0);
+    let parts = [
+        trips,
+        escapes.map(|escapes| number_of(escapes, "escape")),
+        events.view_lost.map(|lost| format!("{} without a view ahead", number_of(lost, "stop"))),
+        summary
+            .held_frames
+            .filter(|held| *held > 0)
+            .map(|held| format!("{} held", number_of(held, "frame"))),
+    ];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+/// A number with its noun, which has a plural in s.
+fn number_of(count: u64, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
 
 fn edges(summary: &Summary) -> String {

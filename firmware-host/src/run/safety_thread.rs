@@ -12,7 +12,7 @@ use hal::{Base, Clock, ErrorKind, Lidar, PowerReport};
 use monotonic_clock::MonotonicClock;
 use runtime::event::{FaultReason, SafetyEvent};
 use runtime::latency::LatencyHistogram;
-use runtime::safety::{Orders, SafetyLoop, SafetyState};
+use runtime::safety::{Orders, SafetyLoop, SafetyState, WheelError};
 use runtime::session::{SafetyPort, SafetyTask, safety_link};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
@@ -55,6 +55,8 @@ pub struct LoopStatus {
     pub base: DeviceStatus,
     pub phase: drivers::can::Phase,
     pub power: PowerReport,
+    /// How far wheels and scanner disagree.
+    pub wheel_error: WheelError,
     /// Number of steps so far.
     pub steps: u64,
     /// Number of steps that were skipped because an earlier one took too long.
@@ -256,6 +258,7 @@ where
         status.base = control.base().status();
         status.phase = control.base().phase();
         status.power = control.base().power();
+        status.wheel_error = control.plane().wheel_error();
         status.steps += 1;
         *self.status.input_buffer_mut() = *status;
         self.status.publish();
@@ -323,6 +326,7 @@ where
         base: control.base().status(),
         phase: control.base().phase(),
         power: control.base().power(),
+        wheel_error: control.plane().wheel_error(),
         steps: 0,
         skipped: 0,
         worst_late_ns: 0,

@@ -59,6 +59,10 @@ pub struct SafetyStatus {
     pub last_stop: Option<LastStop>,
     /// Number of obstacles for which the robot has stopped.
     pub stops: u64,
+    /// How far the wheels' motion is from the motion that the scanner measures, summed up over about five comparisons; along the
+    /// heading, metres, and of the yaw, degrees.
+    pub wheel_error_m: f64,
+    pub wheel_error_deg: f64,
     /// Number of steps of the safety loop.
     pub steps: u64,
     /// Number of steps that were skipped because an earlier one was late.

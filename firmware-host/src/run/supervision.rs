@@ -181,6 +181,8 @@ impl Supervision {
                 },
                 last_stop: self.last_stop.clone(),
                 stops: safety.trips,
+                wheel_error_m: safety.wheel_error.forward_m,
+                wheel_error_deg: safety.wheel_error.yaw_rad.to_degrees(),
                 steps: safety.steps,
                 skipped: safety.skipped,
                 worst_late_us: safety.worst_late_ns as f64 * 1e-3,

@@ -279,6 +279,17 @@ fn a_safety_board_that_is_unplugged_stops_the_robot_and_moves_nothing_when_it_is
 }
 
 #[test]
+fn a_cliff_that_the_safety_board_reports_again_and_again_needs_a_person() {
+    let (mut scene, board) = Scene::with_board(false);
+    scene.drives_first();
+    board.put_before_cliff(true);
+    scene.needs_person("three contacts at one place");
+    board.put_before_cliff(false);
+    scene.stands_until_armed();
+    scene.ends_well();
+}
+
+#[test]
 fn an_emergency_stop_on_an_input_line_wins_and_its_release_moves_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let line = folder.path().join("line");

@@ -212,50 +212,64 @@ pub fn start(world: &LiveWorld, folder: &Path, out: &str, args: &[String]) -> Ch
 
 /// A safety board on the simulated bus.
 pub struct Board {
-    pressed: Arc<AtomicBool>,
-    plugged: Arc<AtomicBool>,
-    running: Arc<AtomicBool>,
+    inputs: Arc<BoardInputs>,
     thread: Option<JoinHandle<()>>,
+}
+
+/// What the board reads, and whether it is there.
+struct BoardInputs {
+    pressed: AtomicBool,
+    cliff: AtomicBool,
+    plugged: AtomicBool,
+    running: AtomicBool,
 }
 
 impl Board {
     pub fn start(hub: &Path, is_pressed: bool) -> Self {
-        let pressed = Arc::new(AtomicBool::new(is_pressed));
-        let plugged = Arc::new(AtomicBool::new(true));
-        let running = Arc::new(AtomicBool::new(true));
+        let inputs = Arc::new(BoardInputs {
+            pressed: AtomicBool::new(is_pressed),
+            cliff: AtomicBool::new(false),
+            plugged: AtomicBool::new(true),
+            running: AtomicBool::new(true),
+        });
         let mut bus = UnixBus::new(hub.to_str().unwrap());
-        let now = Arc::clone(&pressed);
-        let connected = Arc::clone(&plugged);
-        let goes_on = Arc::clone(&running);
+        let now = Arc::clone(&inputs);
         let thread = Some(std::thread::spawn(move || {
             let mut clock = MonotonicClock;
             let mut counter = 0;
-            while goes_on.load(Ordering::Relaxed) {
+            while now.running.load(Ordering::Relaxed) {
                 while bus.receive(clock.now_ns()).is_some() {}
                 counter = (counter + 1) % 16;
-                let estop = now.load(Ordering::Relaxed);
-                if connected.load(Ordering::Relaxed) {
-                    let _ = bus.send(&SafetyInput { counter, estop, bumper: false }.encode());
+                let estop = now.pressed.load(Ordering::Relaxed);
+                let cliff = now.cliff.load(Ordering::Relaxed);
+                if now.plugged.load(Ordering::Relaxed) {
+                    let input = SafetyInput { counter, estop, bumper: false, cliff };
+                    let _ = bus.send(&input.encode());
                 }
                 clock.sleep_until_ns(clock.now_ns() + 20_000_000);
             }
         }));
-        Self { pressed, plugged, running, thread }
+        Self { inputs, thread }
     }
 
     /// Unplugs the board from the bus, or plugs it in again.
     pub fn plug(&self, on: bool) {
-        self.plugged.store(on, Ordering::Relaxed);
+        self.inputs.plugged.store(on, Ordering::Relaxed);
     }
 
     pub fn press(&self, pressed: bool) {
-        self.pressed.store(pressed, Ordering::Relaxed);
+        self.inputs.pressed.store(pressed, Ordering::Relaxed);
+    }
+
+    /// Lets the cliff sensors see no floor, or see it again.
+    pub fn put_before_cliff(&self, cliff: bool) {
+        self.inputs.cliff.store(cliff, Ordering::Relaxed);
     }
 }
 
 impl Drop for Board {
     fn drop(&mut self) {
-        self.running.store(false, Ordering::Relaxed);
+        self.inputs.running.store(false, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             thread.join().unwrap();
         }

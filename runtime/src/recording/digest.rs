@@ -131,7 +131,7 @@ fn hash_wheel(hasher: &mut Hasher, wheel: &WheelFeedback) {
     hash_pose(hasher, &wheel.odom);
     hasher.update(&wheel.twist.linear_mps.to_bits().to_le_bytes());
     hasher.update(&wheel.twist.angular_radps.to_bits().to_le_bytes());
-    hasher.update(&[u8::from(wheel.contact)]);
+    hasher.update(&[u8::from(wheel.contact) | u8::from(wheel.cliff) << 1]);
 }
 
 fn hash_scan(hasher: &mut Hasher, scan: &LaserScan) {

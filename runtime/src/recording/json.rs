@@ -52,6 +52,9 @@ pub(super) struct WheelJson {
     linear_mps: Exact,
     angular_radps: Exact,
     contact: bool,
+    /// Absent in recordings of bases without cliff sensors, and in older ones.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    cliff: bool,
 }
 
 impl From<&WheelFeedback> for WheelJson {
@@ -64,6 +67,7 @@ impl From<&WheelFeedback> for WheelJson {
             linear_mps: Exact(wheel.twist.linear_mps),
             angular_radps: Exact(wheel.twist.angular_radps),
             contact: wheel.contact,
+            cliff: wheel.cliff,
         }
     }
 }
@@ -76,6 +80,7 @@ impl From<&WheelJson> for WheelFeedback {
             odom: Pose2 { x_m: json.x_m.0, y_m: json.y_m.0, yaw_rad: json.yaw_rad.0 },
             twist: Twist2 { linear_mps: json.linear_mps.0, angular_radps: json.angular_radps.0 },
             contact: json.contact,
+            cliff: json.cliff,
         }
     }
 }

@@ -209,6 +209,7 @@ fn trip_cause(by: TripCause) -> &'static str {
         TripCause::LidarHit => "a LiDAR return in the stop zone",
         TripCause::LidarTooNear => "an obstacle nearer than the LiDAR can measure",
         TripCause::Contact => "the base reported contact",
+        TripCause::Cliff => "a cliff sensor saw no floor",
     }
 }
 

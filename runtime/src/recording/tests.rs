@@ -67,6 +67,7 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
             odom: Pose2 { x_m: 0.1 * tick as f64, y_m: -0.3, yaw_rad: 3.0 },
             twist: Twist2 { linear_mps: 0.3, angular_radps: 1e-17 },
             contact: tick.is_multiple_of(2),
+            cliff: tick.is_multiple_of(3),
         },
         scan: Some(LaserScan { time_ns: tick * 100_000_000 - tick, geometry, ranges }),
         frame: Some(RgbImage { width: 6, height: 4, rgb }),
@@ -228,12 +229,13 @@ fn any_scan() -> impl Strategy<Value = LaserScan> {
 }
 
 fn any_wheel() -> impl Strategy<Value = WheelFeedback> {
-    (any::<u64>(), prop::array::uniform5(any_f64()), any::<bool>()).prop_map(
-        |(time_ns, v, contact)| WheelFeedback {
+    (any::<u64>(), prop::array::uniform5(any_f64()), any::<bool>(), any::<bool>()).prop_map(
+        |(time_ns, v, contact, cliff)| WheelFeedback {
             time_ns,
             odom: Pose2 { x_m: v[0], y_m: v[1], yaw_rad: v[2] },
             twist: Twist2 { linear_mps: v[3], angular_radps: v[4] },
             contact,
+            cliff,
         },
     )
 }

@@ -102,7 +102,7 @@ const TICK: &str = r#"{"title":"robot.Tick","type":"object","properties":{
 "wheel":{"type":"object","properties":{
 "time_ns":{"type":"integer"},"x_m":{"type":"number"},"y_m":{"type":"number"},
 "yaw_rad":{"type":"number"},"linear_mps":{"type":"number"},"angular_radps":{"type":"number"},
-"contact":{"type":"boolean"}}},
+"contact":{"type":"boolean"},"cliff":{"type":"boolean"}}},
 "scan":{"type":"object","properties":{"time_ns":{"type":"integer"},"angle_min_rad":{"type":"number"},
 "angle_increment_rad":{"type":"number"},"beams":{"type":"integer"},"range_min_m":{"type":"number"},
 "range_max_m":{"type":"number"},"period_ns":{"type":"integer"}}},

@@ -122,6 +122,7 @@ mod tests {
                 odom: Pose2::new(0.0, 0.0, yaw_rad),
                 twist: Twist2::ZERO,
                 contact: false,
+                cliff: false,
             };
             let desired = motion.desired(&wheel, wheel.time_ns, 0.35, &mut events);
             assert!(desired.linear_mps == 0.0);

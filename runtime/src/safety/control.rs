@@ -433,6 +433,7 @@ mod tests {
                 odom: self.pose,
                 twist: Twist2::ZERO,
                 contact: false,
+                cliff: false,
             }))
         }
     }

@@ -49,7 +49,7 @@
 //! | plan | the velocity that the planner asks for, with the time of the measurements behind it |
 //! | stop zone | the area ahead in which an obstacle leaves no time to stop before the configured stop distance |
 //! | trip | a stop because of an obstacle in the stop zone or a contact |
-//! | contact | the base reports that its bumper is pressed |
+//! | contact | the base reports that its bumper is pressed, that a wheel is blocked, or that a cliff sensor sees no floor |
 //! | back-off | reversing from the obstacle after a trip, by a configured distance |
 //! | blocked point | the place of the trip, reported to the planner when the back-off ends |
 //! | escape | rotating on the spot until there is free space ahead |
@@ -79,7 +79,7 @@ pub use restart::{CREEP_MPS, CREEP_NS, CREEP_RADPS, Restart, STOPS, Stop};
 pub use sent::SentCommand;
 pub use state::{BackOff, Escape, Plan, Request, SafetyInput, SafetyOutput, SafetyState};
 pub use surroundings::{Obstacle, ScanHealth, Surroundings, needs_second_scan};
-pub use witness::scanner_motion;
+pub use witness::{WheelError, scanner_motion};
 
 #[cfg(test)]
 mod orders_tests;

@@ -29,9 +29,11 @@ enum Happening {
     Clear,
     /// The plan is NaN, the wheels are blocked and the bumper is pressed.
     Contact,
+    /// The cliff sensors see no floor.
+    Cliff,
 }
 
-const ALL: [Happening; 8] = [
+const ALL: [Happening; 9] = [
     Happening::Free,
     Happening::Wall,
     Happening::Silence,
@@ -40,6 +42,7 @@ const ALL: [Happening; 8] = [
     Happening::EmergencyStop,
     Happening::Clear,
     Happening::Contact,
+    Happening::Cliff,
 ];
 
 /// A coarse scanner, because the search takes millions of ticks.
@@ -120,8 +123,13 @@ impl Robot {
         let contact = happening == Happening::Contact;
         let plan =
             if contact { Twist2 { linear_mps: f64::NAN, angular_radps: 0.0 } } else { FORWARD };
-        let wheel =
-            WheelFeedback { time_ns: self.time_ns, odom: self.pose, twist: Twist2::ZERO, contact };
+        let wheel = WheelFeedback {
+            time_ns: self.time_ns,
+            odom: self.pose,
+            twist: Twist2::ZERO,
+            contact: happening == Happening::Contact,
+            cliff: happening == Happening::Cliff,
+        };
         let output = self.plane.step(&SafetyInput {
             time_ns: self.time_ns,
             scan: scans.at(happening, self.time_ns),
@@ -155,7 +163,7 @@ impl Robot {
         if blind.contains(&happening) {
             assert_eq!(output.command, None, "must stop on {happening:?}");
         }
-        if happening == Happening::Wall || happening == Happening::Contact {
+        if matches!(happening, Happening::Wall | Happening::Contact | Happening::Cliff) {
             assert!(twist.linear_mps <= 0.0, "never forward into {happening:?}");
         }
         let state = self.plane.state();
@@ -242,7 +250,7 @@ fn after_every_sequence_of_eight_events_the_invariants_hold_and_the_robot_can_dr
                 next.add(robot, *sequences);
             }
         }
-        assert_eq!(walked, 8_u64.pow(depth), "no sequence was left out");
+        assert_eq!(walked, (ALL.len() as u64).pow(depth), "no sequence was left out");
         robots = next;
         // Driving again takes many ticks, so it is tried from every state up to depth five only.
         if depth <= 5 {

@@ -12,7 +12,7 @@ use super::footprint::Footprint;
 use super::rear::RearMemory;
 use super::restart::{CREEP_MPS, CREEP_NS, CREEP_RADPS};
 use super::surroundings::{HORIZON_M, Obstacle, ScanHealth, Surroundings};
-use super::witness::Witness;
+use super::witness::{WheelError, Witness};
 use super::{BackOff, Escape, Request, SafetyConfig, SafetyInput, SafetyOutput, SafetyState};
 use crate::event::{BackOffEnd, FaultReason, PlanRefusal, SafetyEvent, TripCause};
 use crate::snapshot::remembers;
@@ -28,7 +28,7 @@ const TRIPS_BEFORE_ESCAPE: usize = 3;
 const EXIT_CLEARANCE_M: f64 = 0.5;
 /// Free distance that must remain behind the footprint while backing off, metres.
 const REAR_GAP_M: f64 = 0.03;
-/// The bumper reports no position: the obstacle is assumed this far ahead of the footprint, metres.
+/// Bumper and cliff sensors report no position: the obstacle is assumed this far ahead of the footprint, metres.
 const CONTACT_AHEAD_M: f64 = 0.03;
 /// A speed limit below this trips the safety plane; otherwise the robot would creep towards the
 /// obstacle forever. m/s.
@@ -163,6 +163,12 @@ impl SafetyPlane {
     #[must_use]
     pub fn trip_count(&self) -> u64 {
         self.trip_count
+    }
+
+    /// How far wheels and scanner disagree.
+    #[must_use]
+    pub fn wheel_error(&self) -> WheelError {
+        self.witness.error()
     }
 
     #[must_use]
@@ -426,12 +432,12 @@ impl SafetyPlane {
             }
         };
         self.refused = None;
-        if wheel.contact && desired != Twist2::ZERO {
+        if let Some(by) = touch(wheel).filter(|_| desired != Twist2::ZERO) {
             // A stop because of an obstacle that the scanner sees takes precedence, because it
             // gives the better reason.
             return self
                 .trip_by_scan(input.time_ns, wheel, &desired)
-                .unwrap_or_else(|| self.trip_by_contact(input.time_ns, &wheel.odom));
+                .unwrap_or_else(|| self.trip_by_touch(input.time_ns, &wheel.odom, by));
         }
         if desired.linear_mps > 0.0 {
             return self.drive_forward(input.time_ns, wheel, desired);
@@ -570,10 +576,10 @@ impl SafetyPlane {
         Some(self.trip(time_ns, &wheel.odom, cause_of(&obstacle), obstacle.point_m()))
     }
 
-    /// Trips because of a contact, or gives up after repeated ones.
-    fn trip_by_contact(&mut self, time_ns: u64, odom: &Pose2) -> SafetyOutput {
+    /// Trips because of a contact or a cliff sensor, or gives up after repeated ones.
+    fn trip_by_touch(&mut self, time_ns: u64, odom: &Pose2, by: TripCause) -> SafetyOutput {
         let ahead_m = self.footprint.front_edge_m() + CONTACT_AHEAD_M;
-        let tripped = self.trip(time_ns, odom, TripCause::Contact, [ahead_m, 0.0]);
+        let tripped = self.trip(time_ns, odom, by, [ahead_m, 0.0]);
         if self.counts_to_giving_up(time_ns, odom) {
             return self.enter_fault(FaultReason::RepeatedContact);
         }
@@ -643,12 +649,15 @@ impl SafetyPlane {
         let from = wheel.odom;
         let known_free_m =
             self.rear.known_free_m(time_ns, &from, &self.footprint, self.config.back_off_m);
-        let touching = wheel.contact;
-        self.step_backing_off(
-            time_ns,
-            wheel,
-            BackOff { from, since_ns: time_ns, known_free_m, touching, blocked_m },
-        )
+        let back_off = BackOff {
+            from,
+            since_ns: time_ns,
+            known_free_m,
+            touching: wheel.contact,
+            at_cliff: wheel.cliff,
+            blocked_m,
+        };
+        self.step_backing_off(time_ns, wheel, back_off)
     }
 
     /// Distance from the start of a back-off within which the ground was known to be free then and
@@ -682,7 +691,9 @@ impl SafetyPlane {
         // A bumper that caused the trip stays pressed for a moment. A contact after it was
         // released, or at this distance from the obstacle, comes from something behind the robot.
         let touching = back_off.touching && wheel.contact && gone_m < CONTACT_AHEAD_M;
-        let touched = wheel.contact && !touching;
+        // The cliff ahead is reported until the robot has left it. One after that is behind the robot.
+        let at_cliff = back_off.at_cliff && wheel.cliff;
+        let touched = wheel.contact && !touching || wheel.cliff && !at_cliff;
         let end = if self.odometry_jumped {
             BackOffEnd::RearUnknown
         } else if left_m < 1e-3 {
@@ -702,7 +713,7 @@ impl SafetyPlane {
             let braking_mps = (2.0 * self.config.brake_mps2 * step_m).sqrt();
             let speed_mps =
                 self.config.back_off_mps.min(step_m / self.config.period_s).min(braking_mps);
-            self.state = SafetyState::BackingOff(BackOff { touching, ..back_off });
+            self.state = SafetyState::BackingOff(BackOff { touching, at_cliff, ..back_off });
             return SafetyOutput::drive(Twist2 { linear_mps: -speed_mps, angular_radps: 0.0 });
         };
         if touched && self.counts_to_giving_up(time_ns, &wheel.odom) {
@@ -729,8 +740,8 @@ impl SafetyPlane {
         wheel: &WheelFeedback,
         escape: Escape,
     ) -> SafetyOutput {
-        if wheel.contact {
-            return self.trip_by_contact(time_ns, &wheel.odom);
+        if let Some(by) = touch(wheel) {
+            return self.trip_by_touch(time_ns, &wheel.odom, by);
         }
         let odom = &wheel.odom;
         let turned_rad = escape.turned_rad + wrap_angle(odom.yaw_rad - escape.last_yaw_rad).abs();
@@ -789,6 +800,14 @@ fn digest_of(scan: &LaserScan) -> u64 {
     })
 }
 
+/// What the base itself reports about the place where it stands.
+fn touch(wheel: &WheelFeedback) -> Option<TripCause> {
+    if wheel.cliff {
+        return Some(TripCause::Cliff);
+    }
+    wheel.contact.then_some(TripCause::Contact)
+}
+
 fn cause_of(obstacle: &Obstacle) -> TripCause {
     if obstacle.too_near { TripCause::LidarTooNear } else { TripCause::LidarHit }
 }
@@ -827,6 +846,10 @@ mod back_off_tests;
 #[cfg(test)]
 #[path = "contact_tests.rs"]
 mod contact_tests;
+
+#[cfg(test)]
+#[path = "cliff_tests.rs"]
+mod cliff_tests;
 
 #[cfg(test)]
 #[path = "view_tests.rs"]

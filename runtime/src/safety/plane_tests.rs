@@ -62,7 +62,13 @@ impl Room {
         SafetyInput {
             time_ns: self.time_ns,
             scan,
-            wheel: Some(WheelFeedback { time_ns: self.time_ns, odom: self.pose, twist, contact }),
+            wheel: Some(WheelFeedback {
+                time_ns: self.time_ns,
+                odom: self.pose,
+                twist,
+                contact,
+                cliff: false,
+            }),
             base_error: None,
             emergency_stop: false,
             suspended: false,
@@ -522,7 +528,7 @@ fn the_speed_falls_towards_a_wall_and_the_robot_stops_at_the_stop_distance() {
         let output = plane.step(&SafetyInput {
             time_ns,
             scan: Some(&scan),
-            wheel: Some(WheelFeedback { time_ns, odom, twist, contact: false }),
+            wheel: Some(WheelFeedback { time_ns, odom, twist, contact: false, cliff: false }),
             base_error: None,
             emergency_stop: false,
             suspended: false,

@@ -75,9 +75,9 @@ pub const STOPS: [Stop; 13] = [
     },
     Stop {
         why: FaultReason::RepeatedContact,
-        condition: "three contacts within 30 s and 0.5 m: bumper, or a wheel that does not rotate",
+        condition: "three contacts within 30 s and 0.5 m: bumper, cliff sensor, or a wheel that does not rotate",
         restart: Restart::Person,
-        tests: "`contact_tests::*`, `restart_authority::a_blocked_wheel_is_given_up_after_three_contacts`",
+        tests: "`contact_tests::*`, `cliff_tests::*`, `restart_authority::a_blocked_wheel_is_given_up_after_three_contacts`",
     },
     Stop {
         why: FaultReason::WheelsDisagree,

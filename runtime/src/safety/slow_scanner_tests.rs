@@ -73,7 +73,13 @@ fn approach(config: SafetyConfig, period_ns: u64) -> Approach {
         let output = plane.step(&SafetyInput {
             time_ns: now_ns,
             scan: arrived.as_ref(),
-            wheel: Some(WheelFeedback { time_ns: now_ns, odom, twist, contact: false }),
+            wheel: Some(WheelFeedback {
+                time_ns: now_ns,
+                odom,
+                twist,
+                contact: false,
+                cliff: false,
+            }),
             base_error: None,
             emergency_stop: false,
             suspended: false,

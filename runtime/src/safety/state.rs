@@ -40,6 +40,9 @@ pub struct BackOff {
     pub known_free_m: f64,
     /// The bumper has been pressed without a break since before the back-off began.
     pub touching: bool,
+    /// The cliff sensors have seen no floor without a break since before the back-off began.
+    #[serde(default)]
+    pub at_cliff: bool,
     /// The obstacle, in `odom`, metres.
     pub blocked_m: [f64; 2],
 }
@@ -179,6 +182,7 @@ mod tests {
             since_ns: 0,
             known_free_m: 0.0,
             touching: false,
+            at_cliff: false,
             blocked_m: [0.0; 2],
         };
         let escape = Escape { since_ns: None, direction: 1.0, turned_rad: 0.0, last_yaw_rad: 0.0 };

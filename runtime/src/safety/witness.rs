@@ -48,6 +48,25 @@ const SURFACE: f64 = 0.15;
 /// right angle to a wall.
 const MIN_INFORMATION: f64 = 12.0;
 
+/// How far the motion of the wheels is from the motion that the scanner measures, summed up with a memory of about five
+/// comparisons. The robot stops beyond [`WheelError::MOST`].
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct WheelError {
+    /// Along the robot's heading, metres; positive where the wheels report more than the scanner.
+    pub forward_m: f64,
+    /// Of the robot's yaw, radians; counterclockwise is positive.
+    pub yaw_rad: f64,
+}
+
+impl WheelError {
+    /// The bounds of both errors.
+    pub const MOST: Self = Self { forward_m: MOST_M, yaw_rad: MOST_RAD };
+
+    fn is_too_large(&self) -> bool {
+        self.forward_m.abs() > MOST_M || self.yaw_rad.abs() > MOST_RAD
+    }
+}
+
 /// Compares the wheels with the scanner.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Witness {
@@ -97,7 +116,12 @@ impl Witness {
             self.compare(scan, &t_then_now);
         }
         self.set_reference(scan, odom);
-        self.drift_m.abs() > MOST_M || self.drift_rad.abs() > MOST_RAD
+        self.error().is_too_large()
+    }
+
+    /// The remembered errors.
+    pub fn error(&self) -> WheelError {
+        WheelError { forward_m: self.drift_m, yaw_rad: self.drift_rad }
     }
 
     fn set_geometry(&mut self, geometry: ScanGeometry) {

@@ -79,6 +79,7 @@ impl Base for Motors {
             odom: Pose2::new(corridor.x_m, 0.0, corridor.yaw_rad),
             twist: corridor.twist,
             contact: false,
+            cliff: false,
         }))
     }
 }

@@ -47,16 +47,17 @@ impl WheelHistory {
 
     /// The wheel feedback at `time_ns`: interpolated between two measurements, extrapolated with
     /// the newest twist after the last one, and the oldest measurement before the first one.
-    /// Contact is always that of the newest measurement, so that it is not delayed.
+    /// Contact and cliff are always those of the newest measurement, so that it is not delayed.
     #[must_use]
     pub fn at(&self, time_ns: u64) -> Option<WheelFeedback> {
         let newest = *self.past.back()?;
         let after = self.past.partition_point(|wheel| wheel.time_ns <= time_ns);
         let Some(before) = after.checked_sub(1).and_then(|index| self.past.get(index)) else {
-            return self
-                .past
-                .front()
-                .map(|oldest| WheelFeedback { contact: newest.contact, ..*oldest });
+            return self.past.front().map(|oldest| WheelFeedback {
+                contact: newest.contact,
+                cliff: newest.cliff,
+                ..*oldest
+            });
         };
         let Some(after) = self.past.get(after) else {
             let ahead_ns = (time_ns - newest.time_ns).min(AHEAD_NS);
@@ -82,6 +83,7 @@ impl WheelHistory {
                 angular_radps: mix(before.twist.angular_radps, after.twist.angular_radps, share),
             },
             contact: newest.contact,
+            cliff: newest.cliff,
         })
     }
 }

@@ -46,6 +46,14 @@ systemctl daemon-reload
 check 'it opens its devices as its own user' sh -c "
     runuser -u embodied-depth -- firmware-host check --devices --config $config >/rig/check.log 2>&1
     grep -c ' working ' /rig/check.log; [ \$(grep -c ' working ' /rig/check.log) = 3 ]"
+# The restart time of a controller can be set only while its interface is down.
+restart_after() { ip link set can0 down && ip link set can0 up type can bitrate 500000 restart-ms "$1"; }
+restart_after 0
+check 'it says that a CAN controller would stay off the bus' sh -c "
+    runuser -u embodied-depth -- firmware-host check --devices --config $config | grep -o 'can0 stays off the bus.*is 0'"
+restart_after 100
+check 'and nothing of it where the controller restarts' sh -c "
+    ! runuser -u embodied-depth -- firmware-host check --devices --config $config | grep 'off the bus'"
 check 'systemd starts it and receives its readiness notification' sh -c "systemctl start $unit && systemctl is-active $unit"
 check 'it runs as its own user, without capabilities, with a system call filter' awk '
     /^Uid/ { uid = $2 } /^CapEff/ { capabilities = $2 } /^Seccomp:/ { filter = $2 } /^NoNewPrivs/ { stuck = $2 }
@@ -66,6 +74,21 @@ until [ "$(driven)" ] && [ "$(driven)" != '0.0 m driven' ]; do sleep 0.5; done
 check 'armed, it drives' driven
 
 old=$(pid)
+# Shorter than the watchdog time of systemd.
+kill -STOP "$old"
+sleep 3
+kill -CONT "$old"
+until_value state $status 'v ~ /fault/'
+sleep 11
+before=$(driven)
+sleep 21
+check 'stopped for 3 s and continued, it stands until it is armed' sh -c "
+    echo '$before, then $(driven)'; [ '$before' = '$(driven)' ] && [ $(pid) = $old ] && grep -o '\"state\": \"fault.*paused[^\"]*' $status"
+systemctl kill --signal=SIGUSR1 $unit
+until_value state $status 'v ~ /clear|slow/'
+until [ "$(driven)" != "$before" ]; do sleep 0.5; done
+check 'armed again, it drives again' driven
+
 kill -STOP "$old"
 until_restarted 1
 check 'a hung service is killed and restarted' sh -c "journalctl -u $unit | grep -o 'Watchdog timeout (limit 5s).*'"

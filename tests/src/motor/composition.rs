@@ -206,7 +206,7 @@ impl Composition {
     /// Sends one frame of the safety board.
     pub fn send_board(&mut self, estop: bool) {
         self.board_counter = (self.board_counter + 1) % 16;
-        let input = SafetyInput { counter: self.board_counter, estop, bumper: false };
+        let input = SafetyInput { counter: self.board_counter, estop, ..SafetyInput::default() };
         let _ = self.board.send(&input.encode());
     }
 

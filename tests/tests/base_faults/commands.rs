@@ -133,14 +133,19 @@ struct SafetyBoard {
 impl SafetyBoard {
     /// Sends the state of the board with a new counter, then runs one tick of the base.
     fn send_and_drive(&mut self, rig: &mut Rig, estop: bool, bumper: bool) -> Result<(), CanError> {
-        self.counter = (self.counter + 1) % 16;
-        let _ = self.bus.send(&SafetyInput { counter: self.counter, estop, bumper }.encode());
+        self.send(SafetyInput { estop, bumper, ..SafetyInput::default() });
         rig.drive(0.1, 0.0)
+    }
+
+    /// Sends the state of the board with a new counter.
+    fn send(&mut self, input: SafetyInput) {
+        self.counter = (self.counter + 1) % 16;
+        let _ = self.bus.send(&SafetyInput { counter: self.counter, ..input }.encode());
     }
 
     /// Sends the last frame again, as a stuck board does, then runs one tick of the base.
     fn repeat_and_drive(&mut self, rig: &mut Rig) -> Result<(), CanError> {
-        let input = SafetyInput { counter: self.counter, estop: false, bumper: false };
+        let input = SafetyInput { counter: self.counter, ..SafetyInput::default() };
         let _ = self.bus.send(&input.encode());
         rig.drive(0.1, 0.0)
     }
@@ -157,6 +162,12 @@ fn a_safety_board_on_the_bus_stops_the_base_and_so_does_its_silence() {
     rig.base.arm().expect("the board is well");
     (0..60).for_each(|_| drop(board.send_and_drive(&mut rig, false, false)));
     assert!(rig.base.is_armed());
+    board.send(SafetyInput { cliff: true, ..SafetyInput::default() });
+    rig.drive(0.1, 0.0).expect("a cliff is no trip of the base");
+    rig.poll();
+    assert!(rig.feedback.as_ref().is_ok_and(|feedback| {
+        feedback.is_some_and(|feedback| feedback.cliff && !feedback.contact)
+    }));
     board.send_and_drive(&mut rig, false, true).expect("a bumper is contact, not a trip");
     rig.poll();
     assert!(
@@ -181,7 +192,7 @@ fn a_safety_board_on_the_bus_stops_the_base_and_so_does_its_silence() {
 fn a_safety_frame_with_a_wrong_checksum_is_dropped_and_counted() {
     let mut rig = driving(Protocol::Vesc);
     let mut board = rig.host.connect();
-    let pressed = SafetyInput { counter: 1, estop: true, bumper: false }.encode();
+    let pressed = SafetyInput { counter: 1, estop: true, ..SafetyInput::default() }.encode();
     let broken = [pressed.data()[0] ^ 1, pressed.data()[1]];
     let _ = board.send(&CanFrame::new(pressed.id(), &broken).expect("sound"));
     rig.drive(0.2, 0.0).expect("a corrupt frame does not stop the base");
@@ -253,7 +264,7 @@ fn a_press_of_the_boards_emergency_stop_counts_even_if_it_is_over_within_one_tic
     let mut rig = driving(Protocol::Odrive);
     let mut board = rig.host.connect();
     for (counter, estop) in [(1, false), (2, true), (3, false)] {
-        let _ = board.send(&SafetyInput { counter, estop, bumper: false }.encode());
+        let _ = board.send(&SafetyInput { counter, estop, ..SafetyInput::default() }.encode());
     }
     rig.advance(10 * MS);
     let command = DriveCommand { counter: rig.counter + 1, ..slow_command(0) };
@@ -273,7 +284,7 @@ fn a_late_frame_of_the_safety_board_releases_no_emergency_stop() {
 }
 
 fn send(counter: u8, estop: bool, board: &mut MemoryBus, rig: &mut Rig) {
-    let _ = board.send(&SafetyInput { counter, estop, bumper: false }.encode());
+    let _ = board.send(&SafetyInput { counter, estop, ..SafetyInput::default() }.encode());
     (0..5).for_each(|_| rig.poll());
 }
 

@@ -9,6 +9,7 @@ mod tests;
 mod trail;
 mod unevenness;
 
+use std::f64::consts::FRAC_PI_4;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use hal::{
@@ -48,6 +49,8 @@ pub const FLOOR_TILT_DEG: f64 = 0.2;
 const SLOWEST_CAMERA_S: f64 = 0.3;
 /// Largest slope of a floor, radians.
 const STEEPEST_FLOOR_RAD: f64 = 0.1;
+/// Directions of the cliff sensors from the centre of the base, at the edge of its footprint, radians.
+const CLIFF_SENSORS_RAD: [f64; 3] = [-FRAC_PI_4, 0.0, FRAC_PI_4];
 /// Number of rendered images that are averaged into one motion-blurred frame.
 const BLUR_IMAGES: usize = 4;
 /// Walking speed of people indoors, m/s.
@@ -88,6 +91,8 @@ pub struct RobotOptions {
     pub rolling_shutter_s: f64,
     /// Root mean square of the floor's slope, which tilts the robot, radians; 0 for a flat floor.
     pub floor_tilt_rad: f64,
+    /// Whether the base has cliff sensors at its front edge.
+    pub cliff_sensors: bool,
     pub seed: u64,
     /// Start pose; `None` selects a free pose by the seed.
     pub start: Option<Pose2>,
@@ -113,6 +118,7 @@ impl Default for RobotOptions {
             focal_scale: 1.0,
             rolling_shutter_s: 0.0,
             floor_tilt_rad: FLOOR_TILT_DEG.to_radians(),
+            cliff_sensors: false,
             seed: 0,
             start: None,
             watchdog_ns: 200_000_000,
@@ -371,7 +377,18 @@ impl State {
             odom: self.odometer.pose(),
             twist: self.twist,
             contact,
+            cliff: self.options.cliff_sensors && self.is_before_cliff(),
         }
+    }
+
+    /// Whether one of the cliff sensors sees no floor. A wall is none, because nothing can fall there.
+    fn is_before_cliff(&self) -> bool {
+        let radius_m = self.plan.footprint().radius_m;
+        CLIFF_SENSORS_RAD.iter().any(|bearing_rad| {
+            let (sin, cos) = bearing_rad.sin_cos();
+            let (x_m, y_m) = self.pose.transform(radius_m * cos, radius_m * sin);
+            !self.plan.is_supported(x_m, y_m) && !self.plan.is_blocked(x_m, y_m)
+        })
     }
 }
 

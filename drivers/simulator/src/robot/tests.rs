@@ -260,11 +260,10 @@ fn moved_m(seed: u64) -> f32 {
     3.0 - depth.get(40, 11).unwrap()
 }
 
-#[test]
-fn a_robot_that_fell_never_moves_again() {
+/// A home with stairs, and a pose from which the robot falls within 0.5 m of driving straight ahead.
+fn home_with_stairs() -> (World, Pose2) {
     let home = World::open("builtin:apartment?seed=1&stairs=1", &OpenOptions::default()).unwrap();
     let plan = home.floor_plan();
-    // A place 0.5 m from the edge, and the way to it.
     let start = plan
         .reachable()
         .filter(|[x, y]| plan.drop_distance_m(*x, *y, 0.5).is_some())
@@ -275,6 +274,32 @@ fn a_robot_that_fell_never_moves_again() {
             })
         })
         .unwrap();
+    (home, start)
+}
+
+#[test]
+fn cliff_sensors_report_an_edge_before_the_robot_falls_and_no_wall() {
+    let (home, start) = home_with_stairs();
+    for cliff_sensors in [false, true] {
+        let options = RobotOptions { cliff_sensors, ..exact(start) };
+        let mut devices = SimulatedRobot::new(Arc::new(home.clone()), options).unwrap().devices();
+        let mut warned = false;
+        while !devices.truth.fell() {
+            warned |= tick(&mut devices, 0.1, 0.0).cliff;
+        }
+        assert_eq!(warned, cliff_sensors);
+    }
+    let at_the_wall = Pose2::new(4.8, 2.0, 0.0);
+    let mut devices = robot(RobotOptions { cliff_sensors: true, ..exact(at_the_wall) });
+    for _ in 0..20 {
+        let feedback = tick(&mut devices, 0.3, 0.1);
+        assert!(!feedback.cliff, "{feedback:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_fell_never_moves_again() {
+    let (home, start) = home_with_stairs();
     let mut devices = SimulatedRobot::new(Arc::new(home.clone()), exact(start)).unwrap().devices();
     assert!(!devices.truth.fell());
     for _ in 0..10 {

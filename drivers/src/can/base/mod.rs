@@ -690,6 +690,7 @@ impl<B: CanBus, C: Clock> Base for DifferentialBase<B, C> {
             odom: self.odometry.pose(),
             twist: self.twist,
             contact: self.contact(),
+            cliff: self.safety.is_some_and(|(_, input)| input.cliff),
         };
         let is_new = self.feedback_ns > std::mem::replace(&mut self.returned_ns, self.feedback_ns);
         Ok(is_new.then_some(feedback))

@@ -138,6 +138,7 @@ impl Base for Shared {
             odom: robot.odom,
             twist: robot.twist,
             contact: false,
+            cliff: false,
         }))
     }
 }
