@@ -181,7 +181,7 @@ impl Model {
             let reacts = self.robot.now_ns() < self.revoked_ns + REACTION_NS;
             assert!(
                 self.is_granted || reacts || !self.robot.is_driven(),
-                "after {:?} a wheel is driven in {:?}, and nobody asked for it; {}",
+                "after {:?} a wheel is driven in {:?} without a request to arm; {}",
                 self.path,
                 self.robot.state(),
                 self.robot.base().explain()

@@ -38,7 +38,7 @@ fn driving(mut robot: Composition) -> Composition {
 /// The robot stands for five seconds, and drives after a person has armed it.
 fn stands_until_a_person_arms_it(robot: &mut Composition, what: &str) {
     let gone_m = robot.drives_m(FIVE_SECONDS);
-    assert!(gone_m < 0.01, "{what}: {gone_m} m, and nobody asked; {:?}", robot.state());
+    assert!(gone_m < 0.01, "{what}: {gone_m} m without being armed; {:?}", robot.state());
     robot.person_arms();
     robot.steps(300);
     let gone_m = robot.drives_m(100);

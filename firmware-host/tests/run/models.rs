@@ -12,7 +12,7 @@ struct Models {
     store: Store,
     /// The key that signs them.
     key: PathBuf,
-    /// Turns that were left out while nothing happened but this swap.
+    /// Ticks that were left out while nothing happened but this swap.
     left_out: Vec<u64>,
 }
 
@@ -57,7 +57,7 @@ fn drives(scene: &Scene) -> Option<String> {
 }
 
 #[test]
-fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out_for_it() {
+fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_tick_is_left_out_for_it() {
     let more = "\n[models]\nstore = \"{}/models\"\ntrusted_keys = \"{}/trusted_keys\"\ntrial_ticks = 20\ntrial_m = 0.1\n";
     let guess = model("guess");
     let mut scene = Scene::with(Protocol::Odrive, more, &["--model", guess.to_str().unwrap()]);
@@ -97,7 +97,7 @@ fn models_are_swapped_while_it_drives_kept_or_taken_back_and_no_turn_is_left_out
     scene.wait("the model before it", |scene| drives(scene).as_ref() == Some(&better));
     scene.drives("driving on");
 
-    // Nobody promises that this computer does nothing else. A swap that waits for the disk or for the network to load would
+    // Other programs may delay a tick on this computer. A swap that waits for the disk or for the network to load would
     // cost ticks every time.
     let without = models.left_out.iter().filter(|ticks| **ticks == 0).count();
     assert!(

@@ -107,7 +107,7 @@ impl Scene {
         let (_, before_m) = self.world.home().score();
         pause(3000);
         let gone_m = self.world.home().score().1 - before_m;
-        assert!(gone_m < 0.02, "{gone_m} m, and nobody asked; {:#?}", self.status());
+        assert!(gone_m < 0.02, "{gone_m} m without being armed; {:#?}", self.status());
         let (_, before_m) = self.world.home().score();
         self.wait("driving after SIGUSR1", |scene| {
             scene.signal(Signal::USR1);

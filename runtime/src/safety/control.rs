@@ -545,7 +545,7 @@ mod tests {
             Some(SafetyEvent::Faulted { why: FaultReason::BaseSilent })
         );
         robot.control.base.broken = None;
-        assert!(!robot.drives_after(200), "power is back, and nobody asked");
+        assert!(!robot.drives_after(200), "power is back, and it drives without being armed");
         robot.step(Some(Request::ClearFault));
         assert!(!robot.drives_after(20));
         robot.step(Some(Request::Arm));

@@ -127,7 +127,7 @@ impl Robot {
             time_ns: self.time_ns,
             odom: self.pose,
             twist: Twist2::ZERO,
-            contact: happening == Happening::Contact,
+            contact,
             cliff: happening == Happening::Cliff,
         };
         let output = self.plane.step(&SafetyInput {
