@@ -9,6 +9,8 @@ use crate::scanner::FixedFramer;
 
 /// Distances of the data sheet (LD06 and LD19): 0.02 to 12 m.
 pub const RANGE_M: (f32, f32) = (0.02, 12.0);
+/// Largest error of a distance, metres (data sheet LD19: from 0.3 to 12 m; none is stated for nearer ones).
+pub const ACCURACY_M: f64 = 0.045;
 /// A step from one packet to the next that is this many times longer than the steps inside the
 /// packets means that packets are missing.
 const GAP_STEPS: f64 = 4.0;

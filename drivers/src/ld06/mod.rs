@@ -16,7 +16,7 @@ mod error;
 mod packet;
 
 pub use config::Ld06Config;
-pub use decoder::{Decoder, RANGE_M};
+pub use decoder::{ACCURACY_M, Decoder, RANGE_M};
 pub use device::open;
 pub use error::PacketError;
 pub use packet::{PACKET_BYTES, POINTS, Packet, Point, may_begin};

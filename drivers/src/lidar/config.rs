@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::AnyLidarError;
 use crate::hokuyo::{HokuyoConfig, HokuyoError};
-use crate::ld06::Ld06Config;
+use crate::ld06::{ACCURACY_M, Ld06Config};
 use crate::rotary::{Mount, Place, SLOWER};
 use crate::rplidar::RplidarConfig;
 use crate::scanner::Port;
@@ -113,6 +113,18 @@ impl LidarConfig {
             LidarKind::Hokuyo => 0.0,
             LidarKind::Rplidar | LidarKind::Ld06 => CABLE_S,
         }
+    }
+
+    /// Largest error of a distance near the robot, metres, from the scanner's data sheet, and at least
+    /// that of the UTM-30LX: a data sheet is written for white paper.
+    #[must_use]
+    pub fn accuracy_m(&self) -> f64 {
+        let of_this_scanner_m = match self.kind {
+            LidarKind::Hokuyo => self.model.spec().accuracy_m,
+            LidarKind::Rplidar => self.rplidar.model.spec().accuracy_m,
+            LidarKind::Ld06 => ACCURACY_M,
+        };
+        of_this_scanner_m.max(Model::Utm30lx.spec().accuracy_m)
     }
 
     /// Checks every value.

@@ -45,6 +45,8 @@ pub struct ModelSpec {
     pub rpm: u16,
     /// Shortest and longest distance according to the data sheet.
     pub range_m: (f32, f32),
+    /// Largest error of a distance near the robot, metres.
+    pub accuracy_m: f64,
     /// Whether the sensor starts in SCIP 1.1 and needs the command `SCIP2.0`, which it also accepts
     /// in SCIP 2. The command is not sent to other sensors: an unknown command may hang a sensor
     /// until it is switched off (<https://github.com/ros-drivers/urg_c/pull/4>, about the URG-04LX
@@ -52,7 +54,8 @@ pub struct ModelSpec {
     pub starts_in_scip_1: bool,
 }
 
-/// C-42-03320B, section 5 and the example of `PP`; data sheet URG-04LX: 20 to 5,600 mm, 100 ms.
+/// C-42-03320B, section 5 and the example of `PP`; data sheet URG-04LX: 20 to 5,600 mm, 100 ms, 10 mm up to 1 m; URG-04LX-UG01,
+/// which reports the same name: 30 mm.
 const URG_04LX: ModelSpec = ModelSpec {
     name: "URG-04LX",
     codes: RangeCodes::URG_04LX,
@@ -62,10 +65,11 @@ const URG_04LX: ModelSpec = ModelSpec {
     front_step: 384,
     rpm: 600,
     range_m: (0.02, 5.6),
+    accuracy_m: 0.03,
     starts_in_scip_1: true,
 };
 
-/// Data sheet UTM-30LX: 0.1 to 30 m, 270 degrees in steps of 0.25, 25 ms.
+/// Data sheet UTM-30LX: 0.1 to 30 m, 270 degrees in steps of 0.25, 25 ms, 30 mm up to 10 m.
 const UTM_30LX: ModelSpec = ModelSpec {
     name: "UTM-30LX",
     codes: RangeCodes::UTM_30LX,
@@ -75,16 +79,22 @@ const UTM_30LX: ModelSpec = ModelSpec {
     front_step: 540,
     rpm: 2400,
     range_m: (0.1, 30.0),
+    accuracy_m: 0.03,
     starts_in_scip_1: false,
 };
 
-/// Data sheet UST-10LX: 0.06 to 10 m, otherwise as the UTM-30LX.
-const UST_10LX: ModelSpec =
-    ModelSpec { name: "UST-10LX", codes: RangeCodes::UST_10LX, range_m: (0.06, 10.0), ..UTM_30LX };
+/// Data sheet UST-10LX: 0.06 to 10 m, 40 mm, otherwise as the UTM-30LX.
+const UST_10LX: ModelSpec = ModelSpec {
+    name: "UST-10LX",
+    codes: RangeCodes::UST_10LX,
+    range_m: (0.06, 10.0),
+    accuracy_m: 0.04,
+    ..UTM_30LX
+};
 
 /// Data sheet UST-20LX: 0.06 to 20 m, otherwise as the UST-10LX.
 const UST_20LX: ModelSpec =
-    ModelSpec { name: "UST-20LX", codes: RangeCodes::UST_20LX, range_m: (0.06, 20.0), ..UTM_30LX };
+    ModelSpec { name: "UST-20LX", codes: RangeCodes::UST_20LX, range_m: (0.06, 20.0), ..UST_10LX };
 
 impl Model {
     pub const ALL: [Self; 4] = [Self::Urg04lx, Self::Utm30lx, Self::Ust10lx, Self::Ust20lx];

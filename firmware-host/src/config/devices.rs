@@ -135,6 +135,7 @@ impl Config {
         // A silent scanner is detected within two of its periods, even if `scan_timeout_s` is longer.
         let two_scans_s = 2.0 * lidar.longest_period_s();
         SafetyConfig {
+            lateral_margin_m: lidar.accuracy_m(),
             reaction_s: run.reaction_s.max(self.sight_s()),
             brake_mps2: run.brake_mps2,
             good_scans: run.good_scans,
@@ -161,6 +162,21 @@ mod tests {
         let live = config.live_safety_config();
         assert_eq!((live.brake_mps2, live.period_s, live.good_scans), (0.4, 0.02, 3));
         assert!(config.safety_config().brake_mps2 > 10.0, "a simulated base stops at once");
+    }
+
+    #[test]
+    fn the_margin_beside_the_robot_is_the_accuracy_of_its_scanner_and_at_least_3_cm() {
+        let mut config = Config::default();
+        let margins_mm =
+            |config: &Config| (1e3 * config.live_safety_config().lateral_margin_m).round();
+        for (model, margin_mm) in [(Model::Utm30lx, 30.0), (Model::Ust10lx, 40.0)] {
+            config.devices.lidar.model = model;
+            assert_eq!(margins_mm(&config), margin_mm, "{model:?}");
+        }
+        config.devices.lidar.kind = LidarKind::Rplidar;
+        assert_eq!(margins_mm(&config), 30.0);
+        config.devices.lidar.kind = LidarKind::Ld06;
+        assert_eq!(margins_mm(&config), 45.0);
     }
 
     #[test]

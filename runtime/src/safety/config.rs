@@ -20,7 +20,7 @@ impl ConfigValue for BodySector {
     const KIND: Kind = Kind::Other("{ from_deg = 120, to_deg = 135, up_to_m = 0.2 }");
 }
 
-/// Accuracy of a UTM-30LX up to 10 m (data sheet: 30 mm).
+/// Accuracy of the simulated scanner, a UTM-30LX, up to 10 m (data sheet: 30 mm). A real robot has that of its own scanner.
 const LATERAL_MARGIN_M: f64 = 0.03;
 /// The robot escapes slowly, because it does not know what it touches: 20 degrees per second.
 const ESCAPE_RADPS: f64 = 20f64.to_radians();

@@ -71,6 +71,7 @@ impl Footprint {
 
     /// With `sign` = 1 the largest x of the outline at `y_m`; with `sign` = -1 the smallest x,
     /// negated. `None` where the line at `y_m` does not cross the outline.
+    #[inline]
     fn edge_m(&self, y_m: f64, sign: f64) -> Option<f64> {
         match self {
             Self::Round { radius_m } => {
@@ -93,6 +94,7 @@ impl Footprint {
     /// point, metres. Negative for a point inside the outline; `None` if the robot passes beside
     /// the point.
     #[must_use]
+    #[inline]
     pub fn straight_gap_m(&self, [x_m, y_m]: [f64; 2], sign: f64) -> Option<f64> {
         if sign * x_m <= 0.0 {
             return None;
@@ -116,6 +118,7 @@ impl Footprint {
     /// Distance that the origin can travel along `twist` until the outline meets the point, metres.
     /// `None` if it does not meet the point within `reach_m`.
     #[must_use]
+    #[inline]
     pub fn gap_m(&self, point_m: [f64; 2], twist: &Twist2, reach_m: f64) -> Option<f64> {
         let speed = twist.linear_mps.abs();
         if twist.angular_radps.abs() <= STRAIGHT_PER_M * speed {
@@ -123,6 +126,12 @@ impl Footprint {
                 .straight_gap_m(point_m, twist.linear_mps.signum())
                 .filter(|gap| *gap < reach_m);
         }
+        self.gap_on_arc_m(point_m, twist, reach_m)
+    }
+
+    /// As [`gap_m`](Self::gap_m) for a path that is not straight.
+    fn gap_on_arc_m(&self, point_m: [f64; 2], twist: &Twist2, reach_m: f64) -> Option<f64> {
+        let speed = twist.linear_mps.abs();
         let radius_m = speed / twist.angular_radps.abs();
         let step_m = match self {
             Self::Round { .. } => ARC_STEP_M,

@@ -248,7 +248,10 @@ fn distance_to_segment_m(place: &Pose2, from: &Pose2, to: &Pose2) -> f64 {
 }
 
 fn sector_of(angle_rad: f64) -> usize {
-    let share_of_circle = (angle_rad / TAU).rem_euclid(1.0);
+    // The same bits as `rem_euclid(1.0)`, which calls `fmod` for each of the 1,081 beams.
+    let circles = angle_rad / TAU;
+    let rest = circles - circles as i64 as f64;
+    let share_of_circle = if rest < 0.0 { rest + 1.0 } else { rest };
     ((share_of_circle * SECTORS as f64) as usize).min(SECTORS - 1)
 }
 
@@ -279,6 +282,7 @@ mod tests {
     use crate::safety::surroundings::tests::scan_of;
     use crate::safety::{BodySector, SafetyConfig};
     use hal::{Range, ScanGeometry};
+    use proptest::prelude::*;
 
     const ROUND: Footprint = Footprint::Round { radius_m: 0.16 };
 
@@ -294,6 +298,16 @@ mod tests {
     /// A round room with the robot in its middle.
     fn round_room(radius_m: f32) -> LaserScan {
         scan_of(|_| Range::Hit(radius_m))
+    }
+
+    proptest! {
+        #[test]
+        fn the_sector_of_a_direction_is_the_same_after_any_number_of_rotations(
+            sector in 0..SECTORS, part in 0.01..0.99_f64, rotations in -3..=3_i32,
+        ) {
+            let angle_rad = (sector as f64 + part) * TAU / SECTORS as f64;
+            prop_assert_eq!(sector_of(angle_rad + f64::from(rotations) * TAU), sector);
+        }
     }
 
     #[test]

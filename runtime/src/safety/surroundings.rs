@@ -214,8 +214,9 @@ impl Surroundings {
             if is_sparse && let Some(sparse_m) = self.sparse_m.get_mut(index) {
                 *sparse_m = range_m;
             }
-            let was_there = is_sparse && agrees(around(&self.sparse_before_m, index), range_m);
-            if run_length >= MIN_RUN || was_there {
+            let is_obstacle = run_length >= MIN_RUN
+                || is_sparse && agrees(around(&self.sparse_before_m, index), range_m);
+            if is_obstacle {
                 let range_m = f64::from(range_m);
                 self.obstacles.push(Obstacle {
                     x_m: self.t_base_laser.x_m + range_m * beam.cos,

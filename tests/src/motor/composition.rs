@@ -203,6 +203,12 @@ impl Composition {
         }
     }
 
+    /// The realtime clock is set forward while frames wait to be read, in the middle of a tick.
+    pub fn set_realtime_forward(&mut self, nanoseconds: u64) {
+        self.pause(TICK_NS / 2);
+        self.host.set_realtime_forward(nanoseconds);
+    }
+
     /// Sends one frame of the safety board.
     pub fn send_board(&mut self, estop: bool) {
         self.board_counter = (self.board_counter + 1) % 16;

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use drivers::can::stamp::ReceiveClock;
 use drivers::can::{BusEvent, CanBus, CanFrame, ErrorState, Received, SendProblem};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -10,6 +11,8 @@ use rand_pcg::Pcg64Mcg;
 /// Frames that Linux queues for an interface that cannot send: the default `txqueuelen` of a CAN
 /// interface.
 const QUEUE: usize = 10;
+/// The adapter's own clock minus the monotonic clock: it began to count at another moment.
+const ADAPTER_AHEAD_NS: u64 = 77_000_000;
 
 /// Faults of the connection of one node.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -28,10 +31,22 @@ pub struct LineFaults {
     pub late_ns: u64,
 }
 
+/// What a connection has received and its node has not read yet.
+#[derive(Debug, Clone, Copy)]
+struct Arrival {
+    /// Time of arrival, monotonic nanoseconds.
+    time_ns: u64,
+    /// The same time by the realtime clock of that moment, as the kernel stamps frames.
+    realtime_ns: u64,
+    event: BusEvent,
+}
+
 #[derive(Debug, Default)]
 struct Port {
     faults: LineFaults,
-    inbox: VecDeque<(u64, BusEvent)>,
+    inbox: VecDeque<Arrival>,
+    /// The clock of the driver's socket, which reads an adapter with hardware timestamps.
+    clock: Option<ReceiveClock>,
     queue: VecDeque<CanFrame>,
     off: bool,
     was_gone: bool,
@@ -41,6 +56,8 @@ struct Port {
 #[derive(Debug)]
 struct Network {
     now_ns: u64,
+    /// The realtime clock minus the monotonic clock.
+    realtime_ahead_ns: u64,
     rng: Pcg64Mcg,
     ports: Vec<Port>,
 }
@@ -48,6 +65,7 @@ struct Network {
 impl Network {
     fn deliver(&mut self, from: usize, frame: CanFrame) {
         let now_ns = self.now_ns;
+        let realtime_ahead_ns = self.realtime_ahead_ns;
         let lost_here = self.ports.get(from).map_or(0.0, |port| port.faults.lost_share);
         if let Some(port) = self.ports.get_mut(from) {
             port.sent.push((now_ns, frame));
@@ -62,7 +80,10 @@ impl Network {
                 continue;
             }
             for _ in 0..copies {
-                port.inbox.push_back((now_ns + port.faults.late_ns, BusEvent::Frame(frame)));
+                let time_ns = now_ns + port.faults.late_ns;
+                let realtime_ns = time_ns + realtime_ahead_ns;
+                let event = BusEvent::Frame(frame);
+                port.inbox.push_back(Arrival { time_ns, realtime_ns, event });
             }
         }
     }
@@ -80,8 +101,12 @@ impl MemoryBus {
     /// Creates a bus with one connection. The seed selects which frames are lost.
     #[must_use]
     pub fn new(seed: u64) -> Self {
-        let network =
-            Network { now_ns: 0, rng: Pcg64Mcg::seed_from_u64(seed), ports: vec![Port::default()] };
+        let network = Network {
+            now_ns: 0,
+            realtime_ahead_ns: 0,
+            rng: Pcg64Mcg::seed_from_u64(seed),
+            ports: vec![Port::default()],
+        };
         Self { network: Arc::new(Mutex::new(network)), port: 0 }
     }
 
@@ -96,6 +121,11 @@ impl MemoryBus {
     /// Sets the time of all connections.
     pub fn set_now(&self, now_ns: u64) {
         self.lock().now_ns = now_ns;
+    }
+
+    /// Sets the realtime clock forward. Frames that wait to be read keep the stamps of before.
+    pub fn set_realtime_forward(&self, nanoseconds: u64) {
+        self.lock().realtime_ahead_ns += nanoseconds;
     }
 
     /// Sets the faults of this connection. Jammed frames are sent when the jam ends.
@@ -132,8 +162,11 @@ impl MemoryBus {
 
     /// Reports a bus event to this connection.
     pub fn notify(&self, event: BusEvent) {
-        let now_ns = self.lock().now_ns;
-        self.with(|port| port.inbox.push_back((now_ns, event)));
+        let network = self.lock();
+        let time_ns = network.now_ns;
+        let realtime_ns = time_ns + network.realtime_ahead_ns;
+        drop(network);
+        self.with(|port| port.inbox.push_back(Arrival { time_ns, realtime_ns, event }));
     }
 
     /// Takes the frames that this connection has sent, with their times.
@@ -174,18 +207,22 @@ impl CanBus for MemoryBus {
     }
 
     fn receive(&mut self, now_ns: u64) -> Option<Received> {
+        let realtime_ahead_ns = self.lock().realtime_ahead_ns;
         self.with(|port| {
             let gone = port.faults.gone;
             if std::mem::replace(&mut port.was_gone, gone) != gone {
                 let event = if gone { BusEvent::Gone } else { BusEvent::Back };
                 return Some(Received { time_ns: now_ns, event });
             }
-            let (time_ns, event) = *port.inbox.front()?;
-            if time_ns > now_ns {
+            let clock = port.clock.get_or_insert_with(|| ReceiveClock::new(0, true));
+            let Some(arrival) = port.inbox.pop_front_if(|arrival| arrival.time_ns <= now_ns) else {
+                clock.emptied(now_ns);
                 return None;
-            }
-            port.inbox.pop_front();
-            Some(Received { time_ns, event })
+            };
+            let software_ns = arrival.realtime_ns.saturating_sub(realtime_ahead_ns);
+            let hardware_ns = arrival.time_ns + ADAPTER_AHEAD_NS;
+            let time_ns = clock.time_ns(software_ns, Some(hardware_ns), now_ns);
+            Some(Received { time_ns, event: arrival.event })
         })
     }
 
