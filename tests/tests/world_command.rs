@@ -27,7 +27,7 @@ fn world(folder: &Path) -> (Child, impl Iterator<Item = String>) {
     (world, lines)
 }
 
-fn end(world: &Child, signal: Signal) {
+fn send(world: &Child, signal: Signal) {
     kill_process(Pid::from_raw(world.id() as i32).unwrap(), signal).unwrap();
 }
 
@@ -36,7 +36,7 @@ fn a_world_that_is_ended_by_a_signal_says_how_the_robot_drove() {
     for signal in [Signal::INT, Signal::TERM, Signal::HUP] {
         let folder = tempfile::tempdir().unwrap();
         let (mut world, mut lines) = world(folder.path());
-        end(&world, signal);
+        send(&world, signal);
         assert!(lines.any(|line| line.starts_with("world: path_m=")), "{signal:?}");
         assert!(world.wait().unwrap().success(), "{signal:?}");
     }
@@ -47,8 +47,23 @@ fn a_world_whose_output_is_not_read_any_more_ends_without_a_panic() {
     let folder = tempfile::tempdir().unwrap();
     let (world, lines) = world(folder.path());
     drop(lines);
-    end(&world, Signal::TERM);
+    send(&world, Signal::TERM);
     let output = world.wait_with_output().unwrap();
     assert_eq!(String::from_utf8_lossy(&output.stderr), "");
     assert!(output.status.success());
+}
+
+#[test]
+fn signals_cut_the_power_of_the_motors_and_restore_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut world, mut lines) = world(folder.path());
+    for (signal, message) in
+        [(Signal::USR1, "the motors have no power"), (Signal::USR2, "the motors have power again")]
+    {
+        send(&world, signal);
+        assert!(lines.any(|line| line.contains(message)), "{signal:?}");
+    }
+    send(&world, Signal::TERM);
+    assert!(lines.any(|line| line.starts_with("world: path_m=")));
+    assert!(world.wait().unwrap().success());
 }

@@ -89,6 +89,20 @@ until_value state $status 'v ~ /clear|slow/'
 until [ "$(driven)" != "$before" ]; do sleep 0.5; done
 check 'armed again, it drives again' driven
 
+kill -USR1 $WORLD
+until_value state $status 'v ~ /fault/'
+kill -USR2 $WORLD
+# The world reports every ten seconds, and the wheels may roll for a few.
+sleep 11
+before=$(driven)
+sleep 21
+check 'motors that lost their power and got it back stand until a person arms the robot' sh -c "
+    echo '$before, then $(driven)'; [ '$before' = '$(driven)' ] && grep -o '\"state\": \"fault[^\"]*' $status"
+systemctl kill --signal=SIGUSR1 $unit
+until_value state $status 'v ~ /clear|slow/'
+until [ "$(driven)" != "$before" ]; do sleep 0.5; done
+check 'armed once more, it drives' driven
+
 kill -STOP "$old"
 until_restarted 1
 check 'a hung service is killed and restarted' sh -c "journalctl -u $unit | grep -o 'Watchdog timeout (limit 5s).*'"

@@ -10,6 +10,8 @@ use std::time::Instant;
 use drivers::can::Protocol;
 use hal::{CameraModel, Clock};
 use monotonic_clock::MonotonicClock;
+use signal_hook::consts::{SIGUSR1, SIGUSR2};
+use signal_hook::flag;
 use simulator::nuisance::Nuisances;
 use simulator::odometry::OdometryNoise;
 
@@ -20,10 +22,14 @@ use super::live::{LiveOptions, LiveWorld};
 
 /// Interval of fault updates and output.
 const POLL_NS: u64 = 10_000_000;
+/// A motor controller needs this long to start after its power is back.
+const BOOT_NS: u64 = 300_000_000;
 /// Devices that are this late may be reported as silent: two scan periods at 40 Hz.
 const LATE_MS: u64 = 50;
 
 /// Simulate a home with all devices, in real time, for `firmware-host run`.
+///
+/// SIGUSR1 cuts the power of the motors and SIGUSR2 restores it, as an emergency stop in their supply does.
 #[derive(Debug, clap::Args)]
 pub struct WorldArgs {
     /// Home: `builtin:apartment?seed=1` (also `house`, `office`), or a scene file.
@@ -100,6 +106,7 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
     let running = Arc::new(AtomicBool::new(true));
     let stop = Arc::clone(&running);
     ctrlc::set_handler(move || stop.store(false, Ordering::Relaxed))?;
+    let supply = MotorSupply::new()?;
     let world = LiveWorld::start(
         &args.dir,
         &LiveOptions {
@@ -131,6 +138,9 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
     while running.load(Ordering::Relaxed) {
         clock.sleep_until_ns(clock.now_ns() + POLL_NS);
         let time_s = began.elapsed().as_secs_f64();
+        if let Some(message) = supply.update(&world) {
+            println!("\r{time_s:8.2} s  {message}\x1b[K");
+        }
         if let Some(random_faults) = &mut random_faults
             && let Some(message) = random_faults.update(time_s, &world)?
         {
@@ -155,6 +165,35 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
         );
     }
     Ok(())
+}
+
+/// The supply of the motors, which signals cut and restore.
+struct MotorSupply {
+    cut: Arc<AtomicBool>,
+    restore: Arc<AtomicBool>,
+}
+
+impl MotorSupply {
+    fn new() -> std::io::Result<Self> {
+        let supply = Self { cut: Arc::default(), restore: Arc::default() };
+        flag::register(SIGUSR1, Arc::clone(&supply.cut))?;
+        flag::register(SIGUSR2, Arc::clone(&supply.restore))?;
+        Ok(supply)
+    }
+
+    /// Does what the newest signals ask for. Returns a message if there was one.
+    fn update(&self, world: &LiveWorld) -> Option<&'static str> {
+        let is_cut = self.cut.swap(false, Ordering::Relaxed);
+        let is_restored = self.restore.swap(false, Ordering::Relaxed);
+        if !is_cut && !is_restored {
+            return None;
+        }
+        for node in world.wheels().iter_mut() {
+            node.faults().boot_ns = BOOT_NS;
+            node.faults().unpowered = is_cut;
+        }
+        Some(if is_cut { "the motors have no power" } else { "the motors have power again" })
+    }
 }
 
 fn show(world: &LiveWorld, time_s: f64) -> std::io::Result<()> {
