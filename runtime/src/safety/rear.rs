@@ -311,6 +311,12 @@ mod tests {
     }
 
     #[test]
+    fn the_first_sector_begins_exactly_ahead() {
+        assert_eq!(sector_of(0.0), 0);
+        assert_eq!(sector_of(-1e-9), SECTORS - 1);
+    }
+
+    #[test]
     fn nothing_is_known_before_anything_was_seen() {
         assert_eq!(rear().known_free_m(0, &Pose2::IDENTITY, &ROUND, 0.2), 0.0);
     }

@@ -317,6 +317,15 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn the_entries_around_a_beam_are_four_on_each_side_as_far_as_there_are_any() {
+        let ranges_m: Vec<f32> = (0..20_u8).map(f32::from).collect();
+        for (beam, from, to) in [(8, 4, 12), (1, 0, 5), (18, 14, 19), (0, 0, 4), (19, 15, 19)] {
+            assert_eq!(around(&ranges_m, beam), &ranges_m[from..=to], "{beam}");
+        }
+        assert!(around(&[], 0).is_empty());
+    }
+
+    #[test]
     fn only_scanners_with_more_than_half_a_degree_between_beams_need_a_second_scan() {
         let every_deg = |degrees: f64| ScanGeometry {
             angle_increment_rad: degrees.to_radians(),

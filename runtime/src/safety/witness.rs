@@ -403,6 +403,35 @@ mod tests {
         }
     }
 
+    #[test]
+    fn errors_are_what_the_wheels_report_more_than_the_scanner_and_are_remembered_to_four_fifths() {
+        for sign in [1.0, -1.0] {
+            let mut witness = Witness::new(Pose2::IDENTITY);
+            let mut odom = Pose2::IDENTITY;
+            witness.observe(&scan_at(&Pose2::IDENTITY, 0, 0.0), &odom);
+            for (number, share) in [(1, 1.0), (2, 1.8)] {
+                odom = odom.compose(&Pose2::new(sign * 0.12, 0.0, sign * 0.1));
+                witness.observe(&scan_at(&Pose2::IDENTITY, number * PERIOD_NS, 0.0), &odom);
+                let WheelError { forward_m, yaw_rad } = witness.error();
+                assert!((forward_m - sign * share * 0.12).abs() < 0.005, "{forward_m} m");
+                assert!((yaw_rad - sign * share * 0.1).abs() < 0.005, "{yaw_rad} rad");
+            }
+        }
+    }
+
+    #[test]
+    fn a_reference_that_is_older_than_two_seconds_is_replaced_without_a_comparison() {
+        let moved = Pose2::new(0.15, 0.0, 0.0);
+        for (seconds, is_compared) in [(1.9, true), (2.0, true), (2.1, false), (3.0, false)] {
+            let mut witness = Witness::new(Pose2::IDENTITY);
+            witness.observe(&scan_at(&Pose2::IDENTITY, 0, 0.0), &Pose2::IDENTITY);
+            let later_ns = (seconds * 1e9) as u64;
+            witness.observe(&scan_at(&Pose2::IDENTITY, later_ns, 0.0), &moved);
+            assert_eq!(witness.error().forward_m > 0.1, is_compared, "{seconds} s");
+            assert_eq!(witness.reference_ns, later_ns);
+        }
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(40))]
         #[test]
