@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
-use crate::people::Person;
+use crate::body::Capsule;
 use crate::random::normal;
 use crate::render::{Hit, Renderer};
 use crate::scene::LidarResponse;
@@ -106,7 +106,7 @@ pub fn beam_after_ns(geometry: &ScanGeometry, beam: usize) -> u64 {
 pub fn scan(
     renderer: &Renderer,
     t_world_laser: impl Fn(usize) -> Pose3,
-    people: &[Person],
+    bodies: &[Capsule],
     model: &LaserModel,
     rng: &mut impl Rng,
     time_ns: u64,
@@ -127,7 +127,7 @@ pub fn scan(
         .with_min_len(64)
         .map(|(origin, direction)| {
             let [origin, direction] = [*origin, *direction].map(Into::into);
-            renderer.hit(origin, direction, reach_m, people, model.misses_materials)
+            renderer.hit(origin, direction, reach_m, bodies, model.misses_materials)
         })
         .collect();
     scan.time_ns = time_ns;

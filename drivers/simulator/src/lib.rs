@@ -7,6 +7,7 @@
 //! after loading.
 #![forbid(unsafe_code)]
 
+pub mod body;
 mod builtin;
 pub mod error;
 pub mod floor;
@@ -15,7 +16,9 @@ pub mod laser;
 pub mod load;
 pub mod nuisance;
 pub mod odometry;
+mod path;
 pub mod people;
+pub mod pets;
 mod random;
 pub mod render;
 pub mod robot;

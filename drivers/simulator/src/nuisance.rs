@@ -28,6 +28,9 @@ hal::settings! {
         shutter_s: f64 = 0.0, in 0.0..=1.0, unit "s";
         /// Number of people who walk about.
         people: usize = 0, in 0..=32, unit "people";
+        /// Number of cats and small dogs that walk about and lie down from time to time. One that lies is lower than the plane of
+        /// the scanner.
+        pets: usize = 0, in 0..=8, unit "pets";
     }
 }
 
@@ -211,6 +214,7 @@ mod tests {
                 "exposure_drift_period_s",
             ),
             (Nuisances { people: 1000, ..Nuisances::none() }, "people"),
+            (Nuisances { pets: 9, ..Nuisances::none() }, "pets"),
         ] {
             let error = nuisances.check().unwrap_err();
             assert_eq!(error.field, field);

@@ -17,7 +17,7 @@ use hal::{CameraModel, DepthMap, Pose3};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use crate::people::{Capsule, Person};
+use crate::body::Capsule;
 use crate::scene::{LidarResponse, Material, Scene};
 pub use ambient::{AmbientOptions, bake_ambient};
 use bvh::{Bvh, Corners, V3};
@@ -40,7 +40,7 @@ pub struct Renderer {
     tone: ToneCurve,
 }
 
-/// The first surface or person that a ray hits.
+/// The first surface or body that a ray hits.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     pub distance_m: f64,
@@ -87,12 +87,12 @@ impl Renderer {
         &self,
         camera: &CameraModel,
         t_world_camera: &Pose3,
-        people: &[Person],
+        bodies: &[Capsule],
         light: &Lighting,
         rgb: &mut Vec<u8>,
         depth: &mut DepthMap,
     ) {
-        self.render_rows(camera, |_| *t_world_camera, people, light, rgb, depth);
+        self.render_rows(camera, |_| *t_world_camera, bodies, light, rgb, depth);
     }
 
     /// Like [`Renderer::render`], for a camera that moves while it reads its rows.
@@ -101,7 +101,7 @@ impl Renderer {
         &self,
         camera: &CameraModel,
         t_world_camera: impl Fn(f64) -> Pose3 + Sync,
-        people: &[Person],
+        bodies: &[Capsule],
         light: &Lighting,
         rgb: &mut Vec<u8>,
         depth: &mut DepthMap,
@@ -115,7 +115,6 @@ impl Renderer {
         if width == 0 || height == 0 {
             return;
         }
-        let bodies: Vec<Capsule> = people.iter().flat_map(Person::body).collect();
         rgb.par_chunks_mut(width * SIZE * 3)
             .zip(depth.values_mut().par_chunks_mut(width * SIZE))
             .enumerate()
@@ -134,7 +133,7 @@ impl Renderer {
                     );
                     let mut out = Out { left, width, rgb, depth };
                     self.shade(&view, light, place, &block, &mut out);
-                    self.draw_people(&view, light, place, &bodies, &mut out);
+                    self.draw_bodies(&view, light, place, bodies, &mut out);
                 }
             });
     }
@@ -147,7 +146,7 @@ impl Renderer {
         camera: &CameraModel,
         t_world_camera: impl Fn(f64, f64) -> Pose3 + Sync,
         samples: usize,
-        people: &[Person],
+        bodies: &[Capsule],
         light: &Lighting,
         rgb: &mut Vec<u8>,
         depth: &mut DepthMap,
@@ -159,7 +158,7 @@ impl Renderer {
             self.render_rows(
                 camera,
                 |above| t_world_camera(passed, above),
-                people,
+                bodies,
                 light,
                 rgb,
                 depth,
@@ -168,7 +167,7 @@ impl Renderer {
                 *sum += linear[*byte as usize];
             }
         }
-        self.render_rows(camera, |above| t_world_camera(0.5, above), people, light, rgb, depth);
+        self.render_rows(camera, |above| t_world_camera(0.5, above), bodies, light, rgb, depth);
         if samples > 0 {
             for (sum, byte) in sum.iter().zip(rgb.iter_mut()) {
                 *byte = light::linear_to_srgb(sum / samples as f32);
@@ -176,7 +175,7 @@ impl Renderer {
         }
     }
 
-    /// Distance along a ray to the first surface or person, metres; `None` when there is none
+    /// Distance along a ray to the first surface or body, metres; `None` when there is none
     /// within `max_m` or the direction (of any length) is zero or not finite.
     #[must_use]
     pub fn cast(
@@ -184,9 +183,9 @@ impl Renderer {
         origin: [f64; 3],
         direction: [f64; 3],
         max_m: f64,
-        people: &[Person],
+        bodies: &[Capsule],
     ) -> Option<f64> {
-        self.hit(origin, direction, max_m, people, false).map(|hit| hit.distance_m)
+        self.hit(origin, direction, max_m, bodies, false).map(|hit| hit.distance_m)
     }
 
     /// Like [`Renderer::cast`], with the normal and reflectance of the surface. The ray may pass
@@ -197,7 +196,7 @@ impl Renderer {
         origin: [f64; 3],
         direction: [f64; 3],
         max_m: f64,
-        people: &[Person],
+        bodies: &[Capsule],
         passes_glass: bool,
     ) -> Option<Hit> {
         let direction = Vector3::from(direction)
@@ -213,7 +212,7 @@ impl Renderer {
                     || !self.is_hole(triangle, &(origin + direction * f64::from(t)).cast())
             });
         let wall = wall.map(|(t, triangle)| self.describe(triangle, &origin, &direction, t));
-        let body = people.iter().flat_map(Person::body).filter_map(|part| {
+        let body = bodies.iter().filter_map(|part| {
             let distance_m = part.entry(&origin, &direction).filter(|t| *t <= max_m)?;
             let normal = part.normal(&(origin + direction * distance_m)).into();
             let reflectance = luminance(part.color);
@@ -337,7 +336,7 @@ impl Renderer {
         })
     }
 
-    fn draw_people(
+    fn draw_bodies(
         &self,
         view: &View,
         light: &Lighting,

@@ -5,6 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::*;
+use crate::body::Capsule;
 use crate::people::Person;
 use crate::scene::{LidarResponse, Material, Scene, Texture, Triangle, Vertex};
 
@@ -266,24 +267,24 @@ fn a_person_hides_the_wall_at_the_depth_of_the_body() {
         textures: vec![],
     };
     let renderer = Renderer::new(&scene);
-    let people = [Person::standing(4.0, 3.0)];
+    let bodies = Person::standing(4.0, 3.0).body();
     let pose = Pose2::new(1.0, 3.0, 0.0).to_pose3() * camera_mount(0.0, 1.1, 0.0);
     let camera = CameraModel::pinhole(161, 97, std::f64::consts::FRAC_PI_2);
     let mut rgb = Vec::new();
     let mut depth = DepthMap::none(0, 0);
-    renderer.render(&camera, &pose, &people, &Lighting::default(), &mut rgb, &mut depth);
+    renderer.render(&camera, &pose, &bodies, &Lighting::default(), &mut rgb, &mut depth);
     // At a height of 1.1 m the ray hits the torso, a cylinder of 0.18 m radius around x = 4.
     assert!((depth.get(80, 48).unwrap() - 2.82).abs() < 1e-5);
     assert!((depth.get(105, 48).unwrap() - 7.0).abs() < 1e-4);
     assert!(
-        (renderer.cast([1.0, 3.0, 1.1], [1.0, 0.0, 0.0], 30.0, &people).unwrap() - 2.82).abs()
+        (renderer.cast([1.0, 3.0, 1.1], [1.0, 0.0, 0.0], 30.0, &bodies).unwrap() - 2.82).abs()
             < 1e-9
     );
     // Every pixel agrees with the ray through it, so no block has overlooked a limb.
     for (v, u) in (0..97).flat_map(|v| (0..161).map(move |u| (v, u))) {
         let ray = pose.rotation * camera.ray(u as f64, v as f64);
         let origin = pose.translation.vector.into();
-        let along = renderer.cast(origin, ray.into(), 50.0, &people).unwrap();
+        let along = renderer.cast(origin, ray.into(), 50.0, &bodies).unwrap();
         let z_depth = along / ray.norm();
         let got = f64::from(depth.get(u, v).unwrap());
         assert!((got - z_depth).abs() < 2e-4 * z_depth, "({u}, {v}): {got} for {z_depth}");
@@ -298,18 +299,18 @@ fn images_do_not_depend_on_the_number_of_threads() {
         textures: vec![noise_texture(16, 16)],
     };
     let renderer = Renderer::new(&scene);
-    let people = [Person::standing(3.0, 0.0)];
-    let one = render_with(1, &renderer, &people);
-    assert!(render_with(2, &renderer, &people) == one && render_with(4, &renderer, &people) == one);
+    let bodies = Person::standing(3.0, 0.0).body();
+    let one = render_with(1, &renderer, &bodies);
+    assert!(render_with(2, &renderer, &bodies) == one && render_with(4, &renderer, &bodies) == one);
 }
 
-fn render_with(threads: usize, renderer: &Renderer, people: &[Person]) -> (Vec<u8>, DepthMap) {
+fn render_with(threads: usize, renderer: &Renderer, bodies: &[Capsule]) -> (Vec<u8>, DepthMap) {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| {
         let mut rgb = Vec::new();
         let mut depth = DepthMap::none(0, 0);
         let pose = standing(0.0, 0.0, 0.2, 0.0);
-        renderer.render(&wide(), &pose, people, &Lighting::default(), &mut rgb, &mut depth);
+        renderer.render(&wide(), &pose, bodies, &Lighting::default(), &mut rgb, &mut depth);
         (rgb, depth)
     })
 }

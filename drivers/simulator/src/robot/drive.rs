@@ -24,7 +24,8 @@ impl State {
             return;
         }
         let body = Body { sliding: self.options.sliding };
-        let moved = self.plan.drive(&self.pose, &self.command, seconds, &body, &self.bodies());
+        let discs = self.inhabitants.discs(self.now_ns);
+        let moved = self.plan.drive(&self.pose, &self.command, seconds, &body, &discs);
         let odom_before = self.odometer.pose();
         self.odometer.advance(&self.pose.inverse().compose(&moved.pose));
         let measured = odom_before.inverse().compose(&self.odometer.pose());

@@ -4,6 +4,7 @@
 mod change;
 mod devices;
 mod drive;
+mod inhabitants;
 #[cfg(test)]
 mod tests;
 mod trail;
@@ -19,13 +20,14 @@ use hal::{
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
+use crate::body::Capsule;
 use crate::error::SceneError;
-use crate::floor::{Disc, FloorPlan};
+use crate::floor::FloorPlan;
 use crate::laser::{self, LaserModel};
 use crate::nuisance::Nuisances;
 use crate::odometry::{Odometer, OdometryNoise};
-use crate::people::{Person, Walker};
 use crate::world::World;
+use inhabitants::Inhabitants;
 use trail::Trail;
 use unevenness::Unevenness;
 
@@ -38,6 +40,7 @@ const LASER_STREAM: u64 = 0x6c61_7365;
 const CAMERA_STREAM: u64 = 0x6361_6d65;
 const WHEEL_STREAM: u64 = 0x7768_6565;
 const PEOPLE_STREAM: u64 = 0x7065_6f70;
+const PETS_STREAM: u64 = 0x7065_7473;
 const LATENCY_STREAM: u64 = 0x6c61_7465;
 /// Mean latency of a USB camera that stamps frames when their transfer begins: exposure and readout
 /// of a frame at 30 Hz, on average.
@@ -53,13 +56,6 @@ const STEEPEST_FLOOR_RAD: f64 = 0.1;
 const CLIFF_SENSORS_RAD: [f64; 3] = [-FRAC_PI_4, 0.0, FRAC_PI_4];
 /// Number of rendered images that are averaged into one motion-blurred frame.
 const BLUR_IMAGES: usize = 4;
-/// Walking speed of people indoors, m/s.
-const WALKING_MPS: f64 = 0.8;
-/// Number of waypoints of a person's path, and how many random positions are tried for them.
-const WAYPOINTS: usize = 4;
-const WAYPOINT_TRIES: usize = 200;
-/// Half the width of a person, metres.
-const PERSON_RADIUS_M: f64 = 0.25;
 
 /// Options of the simulated robot. The defaults are those of "Embodied Depth Prediction", section
 /// IV: a 640x192 camera of 90 degrees, 0.8 m high.
@@ -74,7 +70,7 @@ pub struct RobotOptions {
     pub sliding: bool,
     pub odometry: OdometryNoise,
     pub laser: LaserModel,
-    /// Disturbances of the camera image, and people.
+    /// Disturbances of the camera image, people and pets.
     pub nuisances: Nuisances,
     /// Mean time from the exposure of a frame to its time stamp, seconds. The latency of one robot is
     /// drawn by the seed, from half of this to one and a half times this, and stays so.
@@ -217,7 +213,7 @@ pub(crate) struct State {
     /// Whether the robot touched an obstacle since the evaluation last asked.
     touched_in_truth: bool,
     last_counter: Option<u32>,
-    walkers: Vec<Walker>,
+    inhabitants: Inhabitants,
     camera_rng: Pcg64Mcg,
     frame_ns: Option<u64>,
     feedback_ns: Option<u64>,
@@ -234,8 +230,7 @@ impl SimulatedRobot {
     pub fn new(world: Arc<World>, options: RobotOptions) -> Result<Self, SceneError> {
         options.check()?;
         let (start, plan) = place(&world, &options)?;
-        let walkers =
-            walkers(&plan, options.nuisances.people, &mut stream_rng(PEOPLE_STREAM, options.seed));
+        let inhabitants = Inhabitants::new(&plan, &options.nuisances, options.seed);
         let state = State {
             now_ns: 0,
             pose: start,
@@ -254,7 +249,7 @@ impl SimulatedRobot {
             touched: false,
             touched_in_truth: false,
             last_counter: None,
-            walkers,
+            inhabitants,
             camera_rng: stream_rng(CAMERA_STREAM, options.seed),
             frame_ns: None,
             feedback_ns: None,
@@ -304,19 +299,10 @@ pub(crate) fn lock(shared: &Mutex<State>) -> MutexGuard<'_, State> {
 }
 
 impl State {
-    /// The people as obstacles for the base.
-    fn bodies(&self) -> Vec<Disc> {
-        self.people(self.now_ns).iter().map(person_disc).collect()
-    }
-
-    fn people(&self, time_ns: u64) -> Vec<Person> {
-        self.walkers.iter().map(|walker| walker.at(time_ns)).collect()
-    }
-
     fn take_frame(&mut self, frame: &mut Frame) {
         let exposed_s = self.now_ns as f64 * 1e-9 - self.latency_s;
         let exposed_ns = (exposed_s.max(0.0) * 1e9) as u64;
-        let people = self.people(exposed_ns);
+        let bodies = self.inhabitants.bodies(exposed_ns);
         let nuisances = &self.options.nuisances;
         let light = nuisances.lighting(exposed_ns);
         let camera = &self.true_camera();
@@ -329,12 +315,12 @@ impl State {
         let renderer = self.world.renderer();
         let rgb = &mut frame.data;
         if nuisances.shutter_s > 0.0 && self.trail.moved() {
-            renderer.render_blurred(camera, at, BLUR_IMAGES, &people, &light, rgb, &mut self.depth);
+            renderer.render_blurred(camera, at, BLUR_IMAGES, &bodies, &light, rgb, &mut self.depth);
         } else {
             renderer.render_rows(
                 camera,
                 |above| at(0.5, above),
-                &people,
+                &bodies,
                 &light,
                 rgb,
                 &mut self.depth,
@@ -362,7 +348,7 @@ impl State {
         ScanMotion {
             late_ns,
             world: Arc::clone(&self.world),
-            people: self.people(end_ns.saturating_sub(period_ns / 2 + late_ns)),
+            bodies: self.inhabitants.bodies(end_ns.saturating_sub(period_ns / 2 + late_ns)),
             trail: self.trail.clone(),
             floor: self.floor,
             t_base_laser: self.options.t_base_laser,
@@ -395,7 +381,7 @@ impl State {
 /// The world around the scanner during one scan.
 struct ScanMotion {
     world: Arc<World>,
-    people: Vec<Person>,
+    bodies: Vec<Capsule>,
     trail: Trail,
     floor: Unevenness,
     t_base_laser: Pose3,
@@ -410,7 +396,7 @@ impl ScanMotion {
         laser::scan(
             self.world.renderer(),
             |beam| self.t_world_laser(beam, &model.geometry),
-            &self.people,
+            &self.bodies,
             model,
             rng,
             // A scan that began before time 0 gets the time 0.
@@ -424,10 +410,6 @@ impl ScanMotion {
         let time_ns = self.start_ns + after_ns - self.late_ns as i64;
         self.floor.raise(&self.trail.at(time_ns)) * self.t_base_laser
     }
-}
-
-fn person_disc(person: &Person) -> Disc {
-    Disc { center_m: person.position_m, radius_m: PERSON_RADIUS_M }
 }
 
 /// The start pose, and the free space around it.
@@ -446,34 +428,4 @@ fn place(world: &World, options: &RobotOptions) -> Result<(Pose2, Arc<FloorPlan>
             Err(SceneError::StartBlocked { x_m, y_m, nearest_x_m, nearest_y_m })
         }
     }
-}
-
-/// People who walk between free positions with a line of sight between consecutive ones.
-fn walkers(plan: &FloorPlan, count: usize, rng: &mut Pcg64Mcg) -> Vec<Walker> {
-    (0..count)
-        .filter_map(|_| {
-            let mut path: Vec<[f64; 2]> = Vec::new();
-            for _ in 0..WAYPOINT_TRIES {
-                let place = plan.random_pose(rng.random());
-                let place = [place.x_m, place.y_m];
-                if path.last().is_none_or(|last| is_clear(*last, place, plan)) {
-                    path.push(place);
-                }
-                if path.len() == WAYPOINTS {
-                    break;
-                }
-            }
-            Walker::new(path, WALKING_MPS, rng.random())
-        })
-        .collect()
-}
-
-/// Whether a person fits everywhere on the straight line between two positions.
-fn is_clear(a: [f64; 2], b: [f64; 2], plan: &FloorPlan) -> bool {
-    let steps = ((a[0] - b[0]).hypot(a[1] - b[1]) / 0.05).ceil().max(1.0) as usize;
-    (0..=steps).all(|step| {
-        let share = step as f64 / steps as f64;
-        plan.clearance_m(a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]))
-            > PERSON_RADIUS_M
-    })
 }

@@ -4,7 +4,9 @@ use hal::{Base, Camera, CameraMount, Clock, DriveCommand, ErrorKind, Lidar, Rang
 use proptest::prelude::*;
 
 use super::*;
+use crate::floor::{Body, Disc};
 use crate::odometry::WheelErrors;
+use crate::pets::{Pet, PetWalker};
 use crate::render::tests::{plain, room};
 use crate::scene::Scene;
 use crate::world::OpenOptions;
@@ -270,7 +272,7 @@ fn home_with_stairs() -> (World, Pose2) {
         .find_map(|[x, y]| {
             (0..16).map(|i| Pose2::new(x, y, f64::from(i) * 0.4)).find(|pose| {
                 let ahead = Twist2 { linear_mps: 0.5, angular_radps: 0.0 };
-                plan.drive(pose, &ahead, 1.0, &crate::floor::Body { sliding: false }, &[]).fell
+                plan.drive(pose, &ahead, 1.0, &Body { sliding: false }, &[]).fell
             })
         })
         .unwrap();
@@ -309,6 +311,74 @@ fn a_robot_that_fell_never_moves_again() {
     let there = devices.truth.pose();
     let feedback = tick(&mut devices, -0.5, 0.0);
     assert_eq!((devices.truth.pose(), feedback.twist), (there, Twist2::ZERO));
+}
+
+/// What an ideal scanner of the default mount measures at a pose, with these bodies in the world.
+fn ideal_scan(world: &World, pose: &Pose2, bodies: &[Capsule]) -> Vec<Range> {
+    let model = LaserModel::IDEAL;
+    let mut scan = LaserScan::empty(model.geometry);
+    let t_world_laser = pose.to_pose3() * RobotOptions::default().t_base_laser;
+    let mut rng = stream_rng(LASER_STREAM, 0);
+    laser::scan(world.renderer(), |_| t_world_laser, bodies, &model, &mut rng, 0, &mut scan);
+    scan.ranges
+}
+
+/// Number of pixels of the default camera at a pose that show these bodies.
+fn pixels_of(bodies: &[Capsule], pose: &Pose2) -> usize {
+    let options = RobotOptions::default();
+    let t_world_camera = pose.to_pose3() * options.t_base_camera;
+    let depths = [&[], bodies].map(|bodies| {
+        let mut depth = DepthMap::none(0, 0);
+        let light = options.nuisances.lighting(0);
+        let renderer = ROOM.renderer();
+        renderer.render(&options.camera, &t_world_camera, bodies, &light, &mut vec![], &mut depth);
+        depth
+    });
+    let pairs = depths[0].values().iter().zip(depths[1].values());
+    pairs.filter(|(without, with)| with < without).count()
+}
+
+#[test]
+fn a_lying_pet_is_lower_than_the_plane_of_the_scanner_and_the_camera_sees_it() {
+    let pose = Pose2::new(1.0, 2.0, 0.0);
+    let empty = ideal_scan(&ROOM, &pose, &[]);
+    let standing = Pet { shoulder_m: 0.45, ..Pet::standing(3.0, 2.0) };
+    let lying = Pet { lying: 1.0, ..standing };
+    assert_ne!(ideal_scan(&ROOM, &pose, &standing.body()), empty);
+    assert_eq!(ideal_scan(&ROOM, &pose, &lying.body()), empty);
+    assert!(pixels_of(&standing.body(), &pose) > 1000);
+    assert!(pixels_of(&lying.body(), &pose) > 200);
+    // From above, its back is at 0.305 of its shoulder height.
+    let seen_m = ROOM.renderer().cast([3.0, 2.0, 1.0], [0.0, 0.0, -1.0], 2.0, &lying.body());
+    assert!((seen_m.unwrap() - (1.0 - 0.305 * 0.45)).abs() < 1e-9);
+}
+
+#[test]
+fn a_robot_that_drives_at_a_pet_is_blocked_by_it() {
+    let start = Pose2::new(1.0, 2.0, 0.0);
+    let robot = SimulatedRobot::new(ROOM.clone(), exact(start)).unwrap();
+    let walker = PetWalker::new(vec![[3.0, 2.0]], 1).unwrap();
+    let rump = walker.at(0).discs()[0];
+    lock(&robot.shared).inhabitants.pets = vec![walker];
+    let mut devices = robot.devices();
+    while !tick(&mut devices, 0.3, 0.0).contact {
+        assert!(devices.truth.pose().x_m < 3.0, "the robot drove through the pet");
+    }
+    let footprint_m = devices.truth.floor_plan().footprint().radius_m;
+    let touches_m = rump.center_m[0] - rump.radius_m - footprint_m;
+    assert!((devices.truth.pose().x_m - touches_m).abs() < 1e-4, "{:?}", devices.truth.pose());
+}
+
+#[test]
+fn pets_leave_the_ways_of_people_as_they_are() {
+    let [alone, together] = [0, 3].map(|pets| {
+        let nuisances = Nuisances { people: 2, pets, ..Nuisances::none() };
+        Inhabitants::new(APARTMENT.floor_plan(), &nuisances, 5)
+    });
+    assert_eq!(alone.people, together.people);
+    assert_eq!([alone.pets.len(), together.pets.len()], [0, 3]);
+    let discs: Vec<Disc> = together.discs(0);
+    assert_eq!(discs[..2], alone.discs(0));
 }
 
 #[test]
