@@ -110,7 +110,8 @@ pub enum Command {
 /// Arguments of `firmware-host explore`.
 #[derive(Debug, Args)]
 pub struct ExploreArgs {
-    /// Scene: builtin:apartment?seed=1 (also house, office; `&stairs=1` adds stairs down), or a .glb, .gltf or .obj file.
+    /// Scene: builtin:apartment?seed=1 (also house, office; `&stairs=1` adds stairs down, `&cables=1` cables on the floor), or
+    /// a .glb, .gltf or .obj file.
     #[arg(long)]
     pub scene: String,
     /// How the robot chooses its goals.

@@ -14,8 +14,8 @@ use simulator::scene::{Material, Scene};
 
 const CAMERA_HEIGHT_M: f64 = 0.8;
 /// The names of the kinds of surface, in the order of [`simulator::homes::Surface`].
-const CLASSES: [&str; 7] =
-    ["floor", "ceiling", "wall", "opening", "fixture", "furniture", "outside"];
+const CLASSES: [&str; 8] =
+    ["floor", "ceiling", "wall", "opening", "fixture", "furniture", "outside", "cable"];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
@@ -188,7 +188,7 @@ fn labelled(home: &Home) -> Scene {
         triangle.material = *surface as u32;
         triangle.vertices.iter_mut().for_each(|v| v.ambient = 0.0);
     }
-    scene.materials = (0..7).map(glowing_material).collect();
+    scene.materials = (0..CLASSES.len() as u32).map(glowing_material).collect();
     scene
 }
 

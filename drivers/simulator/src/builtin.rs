@@ -4,8 +4,8 @@ use crate::error::SceneError;
 use crate::homes::{self, HomeKind, HomeOptions};
 use crate::scene::Scene;
 
-/// Builds the home `NAME?seed=K&texture=T&moved=M&stairs=S`. `spec` is the whole specification, for error
-/// messages.
+/// Builds the home `NAME?seed=K&texture=T&moved=M&stairs=S&cables=C`. `spec` is the whole
+/// specification, for error messages.
 pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
     let (name, query) = home.split_once('?').unwrap_or((home, ""));
     let kind: HomeKind =
@@ -30,13 +30,11 @@ pub(crate) fn build(spec: &str, home: &str) -> Result<Scene, SceneError> {
             }
             "moved" => options.moved = switch(value).ok_or_else(|| wrong("0 or 1"))?,
             "stairs" => options.stairs = switch(value).ok_or_else(|| wrong("0 or 1"))?,
+            "cables" => options.cables = switch(value).ok_or_else(|| wrong("0 or 1"))?,
             _ => {
-                return Err(refuse(
-                    format!(
-                        "unknown option `{key}`; the options are seed, texture, moved and stairs"
-                    ),
-                    spec,
-                ));
+                let options = "seed, texture, moved, stairs and cables";
+                let problem = format!("unknown option `{key}`; the options are {options}");
+                return Err(refuse(problem, spec));
             }
         }
     }
@@ -66,7 +64,7 @@ mod tests {
     #[test]
     fn a_name_with_and_without_options_builds_a_home() {
         let plain = build("", "apartment").unwrap();
-        let same = build("", "apartment?seed=0&moved=0").unwrap();
+        let same = build("", "apartment?seed=0&moved=0&cables=0").unwrap();
         let other = build("", "apartment?seed=1").unwrap();
         assert!(plain == same && plain != other);
     }
@@ -74,11 +72,12 @@ mod tests {
     #[test]
     fn a_wrong_name_key_or_value_is_refused_with_what_is_allowed() {
         assert!(refusal("castle").contains("apartment, house and office"));
-        assert!(refusal("house?rooms=3").contains("seed, texture, moved and stairs"));
+        assert!(refusal("house?rooms=3").contains("seed, texture, moved, stairs and cables"));
         assert!(refusal("house?seed=-1").contains("whole number"));
         assert!(refusal("house?texture=nan").contains("from 0"));
         assert!(refusal("house?moved=maybe").contains("0 or 1"));
         assert!(refusal("house?stairs=2").contains("0 or 1"));
+        assert!(refusal("house?cables=2").contains("0 or 1"));
         assert!(refusal("house?seed").contains("key=value"));
     }
 }

@@ -42,7 +42,8 @@ pub struct Origin {
 
 impl World {
     /// Opens `builtin:apartment`, `builtin:house` or `builtin:office`, optionally with
-    /// `?seed=K&texture=0.35&moved=1&stairs=1` (any subset of these keys), or a .glb, .gltf or .obj file.
+    /// `?seed=K&texture=0.35&moved=1&stairs=1&cables=1` (any subset of these keys), or a .glb,
+    /// .gltf or .obj file.
     ///
     /// # Errors
     /// Returns an error if the scene does not exist, is damaged or not supported, or has no floor

@@ -2,6 +2,7 @@
 //! files.
 
 mod ambient;
+mod cables;
 mod fixtures;
 mod furniture;
 mod geometry;
@@ -83,6 +84,8 @@ pub struct HomeOptions {
     pub moved: bool,
     /// One room has stairs down, without a railing.
     pub stairs: bool,
+    /// Cables lie on the floor of most rooms; all else is unchanged.
+    pub cables: bool,
 }
 
 impl HomeOptions {
@@ -90,9 +93,9 @@ impl HomeOptions {
     /// ones plain triangulation needs no learning.
     pub const TEXTURE: f32 = 0.25;
 
-    /// Options with the calibrated texture contrast, unmoved furniture and no stairs.
+    /// Options with the calibrated texture contrast, unmoved furniture, no stairs and no cables.
     pub fn new(seed: u64) -> Self {
-        Self { seed, texture: Self::TEXTURE, moved: false, stairs: false }
+        Self { seed, texture: Self::TEXTURE, moved: false, stairs: false, cables: false }
     }
 }
 
@@ -170,13 +173,16 @@ pub enum Surface {
     Furniture,
     /// The outer faces of outer walls.
     Outside,
+    /// Cables on the floor.
+    Cable,
 }
 
 /// A scene with its semantics.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Home {
     pub scene: Scene,
-    /// Kind of surface of each triangle of the scene. Furniture comes last.
+    /// Kind of surface of each triangle of the scene. Furniture comes last, and then
+    /// cables.
     pub surfaces: Vec<Surface>,
     pub rooms: Vec<Room>,
     pub doors: Vec<Door>,
@@ -240,5 +246,8 @@ fn construct(kind: HomeKind, options: &HomeOptions) -> Construction {
         seed,
         options.moved,
     );
+    if options.cables {
+        cables::build(&layout, &furniture, &mut materials, &mut mesh, &mut stream(seed, 11));
+    }
     Construction { layout, mesh, materials, furniture }
 }

@@ -76,6 +76,51 @@ fn every_home_may_have_stairs_down_that_leave_all_else_as_it_is() {
 }
 
 #[test]
+fn without_cables_a_home_is_the_same_byte_for_byte() {
+    for kind in HomeKind::ALL {
+        for seed in 0..SEEDS {
+            let stairs = seed % 2 == 1;
+            let options = HomeOptions { stairs, ..HomeOptions::new(seed) };
+            let without = construct(kind, &options);
+            let with = construct(kind, &HomeOptions { cables: true, ..options });
+            let count = without.mesh.quads.len();
+            assert!(with.mesh.quads[..count] == without.mesh.quads[..], "{kind} {seed}");
+            assert!(with.mesh.solids == without.mesh.solids, "{kind} {seed}");
+            assert_eq!((&with.layout, &with.furniture), (&without.layout, &without.furniture));
+            let added = &with.mesh.quads[count..];
+            assert!(added.iter().all(|quad| quad.surface == Surface::Cable), "{kind} {seed}");
+        }
+    }
+}
+
+#[test]
+fn cables_lie_on_the_floor_of_most_rooms_and_never_over_stairs() {
+    let mut rooms = 0;
+    let mut with_cables = 0;
+    for (kind, seed) in
+        HomeKind::ALL.into_iter().flat_map(|kind| (0..SEEDS).map(move |s| (kind, s)))
+    {
+        let options = HomeOptions { cables: true, stairs: true, ..HomeOptions::new(seed) };
+        let home = construct(kind, &options);
+        let opening = home.layout.stairwell.map(|stairs| stairs.opening(&home.layout));
+        let cables = home.mesh.quads.iter().filter(|quad| quad.surface == Surface::Cable);
+        for quad in cables.clone() {
+            let rect = home.layout.rooms[usize::from(quad.room)].rect;
+            for [x, y, z] in quad.corners {
+                assert!(rect.contains([x, y]) && (0.0..=0.008).contains(&z), "{kind} {seed}");
+                assert!(!opening.is_some_and(|opening| opening.contains([x, y])), "{kind} {seed}");
+            }
+        }
+        for (index, room) in home.layout.rooms.iter().enumerate() {
+            rooms += usize::from(room.kind != RoomKind::Bath);
+            with_cables += usize::from(cables.clone().any(|quad| usize::from(quad.room) == index));
+        }
+    }
+    let share = with_cables as f64 / rooms as f64;
+    assert!((0.7..0.9).contains(&share), "{share}");
+}
+
+#[test]
 fn names_of_kinds_are_read_back_and_others_refused() {
     for kind in HomeKind::ALL {
         assert_eq!(kind.to_string().parse(), Ok(kind));
@@ -284,7 +329,9 @@ fn sizes_and_counts_are_those_of_real_homes() {
 fn every_triangle_is_sound() {
     for kind in HomeKind::ALL {
         for seed in 0..2 {
-            let home = build(kind, &HomeOptions::new(seed));
+            // The second one has cables.
+            let cables = seed == 1;
+            let home = build(kind, &HomeOptions { cables, ..HomeOptions::new(seed) });
             let scene = &home.scene;
             let bytes: usize = scene.textures.iter().map(|t| t.rgba.len()).sum();
             assert!(bytes <= 40_000_000, "{kind} {seed}: {bytes} bytes of textures");

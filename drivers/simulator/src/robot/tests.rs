@@ -5,6 +5,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::floor::{Body, Disc};
+use crate::homes::{self, HomeKind, HomeOptions, Surface};
 use crate::odometry::WheelErrors;
 use crate::pets::{Pet, PetWalker};
 use crate::render::tests::{plain, room};
@@ -379,6 +380,33 @@ fn pets_leave_the_ways_of_people_as_they_are() {
     assert_eq!([alone.pets.len(), together.pets.len()], [0, 3]);
     let discs: Vec<Disc> = together.discs(0);
     assert_eq!(discs[..2], alone.discs(0));
+}
+
+#[test]
+fn cables_are_drawn_on_the_floor_and_block_nothing() {
+    let open = |spec| World::open(spec, &OpenOptions::default()).unwrap();
+    let with = open("builtin:apartment?seed=1&cables=1");
+    let home =
+        homes::build(HomeKind::Apartment, &HomeOptions { cables: true, ..HomeOptions::new(1) });
+    let triangles = home.scene.triangles.iter().zip(&home.surfaces);
+    let cables = triangles.filter(|(_, surface)| **surface == Surface::Cable);
+    let tops = cables.map(|(triangle, _)| triangle.vertices.map(|v| v.position_m.map(f64::from)));
+    let tops: Vec<_> = tops.filter(|corners| corners.iter().all(|c| c[2] > 0.007)).collect();
+    let plan = with.floor_plan();
+    let mut seen = 0;
+    let mut driven_over = 0;
+    for corners in &tops {
+        let [x, y] = [0, 1].map(|axis| corners.iter().map(|c| c[axis]).sum::<f64>() / 3.0);
+        let below_m = with.renderer().cast([x, y, 0.05], [0.0, 0.0, -1.0], 1.0, &[]);
+        seen += usize::from(below_m.is_some_and(|below_m| (below_m - 0.042).abs() < 1e-5));
+        driven_over += usize::from(plan.is_reachable(x, y));
+    }
+    assert!(seen * 2 > tops.len() && driven_over * 4 > tops.len(), "{seen} {driven_over}");
+    let without = APARTMENT.floor_plan();
+    assert!(plan.reachable_floor().eq(without.reachable_floor()));
+    assert!(plan.reachable().eq(without.reachable()));
+    let pose = without.start_pose(1);
+    assert_eq!(ideal_scan(&with, &pose, &[]), ideal_scan(&APARTMENT, &pose, &[]));
 }
 
 #[test]
