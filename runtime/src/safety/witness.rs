@@ -194,7 +194,7 @@ impl Witness {
     /// The normal equations of the point-to-line distances around a motion.
     fn linearize(&self, scan: &LaserScan, motion: &Pose2) -> System {
         let mut system = System::default();
-        let stride = (scan.ranges.len() / SAMPLES).max(1);
+        let stride = stride_of(scan.ranges.len());
         let (sin, cos) = motion.yaw_rad.sin_cos();
         for (beam, range) in scan.ranges.iter().enumerate().step_by(stride) {
             let Some(range_m) = distance_m(*range, &scan.geometry) else { continue };
@@ -260,6 +260,11 @@ impl Witness {
     }
 }
 
+/// Every so many beams one is matched.
+fn stride_of(beams: usize) -> usize {
+    (beams / SAMPLES).max(1)
+}
+
 /// The motion of the laser between two scans, as `t_before_after`, starting from a guess; `None` if too
 /// little of the room was seen to know it in both directions.
 #[must_use]
@@ -304,6 +309,7 @@ impl System {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::safety::surroundings::tests::{scan_of, wall_ahead};
     use hal::{Range, Twist2};
     use proptest::prelude::*;
 
@@ -401,6 +407,40 @@ mod tests {
             let odom = FORWARD.integrate(number as f64 * 0.025);
             assert!(!witness.observe(&scan, &odom));
         }
+    }
+
+    #[test]
+    fn about_270_beams_are_matched_or_all_where_there_are_fewer() {
+        for (beams, stride) in [(1081, 4), (682, 2), (540, 2), (539, 1), (360, 1), (100, 1)] {
+            assert_eq!(stride_of(beams), stride, "{beams} beams");
+        }
+    }
+
+    #[test]
+    fn a_scan_of_which_less_than_half_is_found_again_is_not_matched() {
+        for (seen_share, is_matched) in [(0.4, false), (0.6, true)] {
+            let mut witness = Witness::new(Pose2::IDENTITY);
+            let whole = scan_at(&Pose2::IDENTITY, 0, 0.0);
+            let mut part = whole.clone();
+            let seen = (seen_share * GEOMETRY.beams as f64) as usize;
+            part.ranges[seen..].fill(Range::NoReturn);
+            witness.observe(&part, &Pose2::IDENTITY);
+            let found = witness.match_scan(&whole, &Pose2::IDENTITY);
+            assert_eq!(found.is_some(), is_matched, "{seen_share}");
+        }
+    }
+
+    #[test]
+    fn the_motion_between_two_scans_is_known_only_where_walls_stand_in_both_directions() {
+        let motion = Pose2::new(0.05, -0.03, 0.1);
+        let room = [Pose2::IDENTITY, motion].map(|pose| scan_at(&pose, 0, 0.0));
+        let found = scanner_motion(&room[0], &room[1], &Pose2::IDENTITY).unwrap();
+        assert!(found.distance_m(&motion) < 0.01, "{found:?}");
+        // Walls 1 m to the left and to the right, and one 2 m ahead that has no end.
+        let corridor = scan_of(|angle| Range::Hit((1.0 / angle.sin().abs()).min(25.0) as f32));
+        assert_eq!(scanner_motion(&corridor, &corridor, &Pose2::IDENTITY), None);
+        let wall = wall_ahead(2.0);
+        assert_eq!(scanner_motion(&wall, &wall, &Pose2::IDENTITY), None);
     }
 
     #[test]
