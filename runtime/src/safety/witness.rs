@@ -251,10 +251,8 @@ impl Witness {
         }
         let [ax, ay] = self.reference_point(before)?;
         let [bx, by] = self.reference_point(beam + NEIGHBOUR)?;
+        // Neither of them is at the laser, which is not within the share of the middle one's range.
         let length_m = (bx - ax).hypot(by - ay);
-        if length_m < 1e-6 {
-            return None;
-        }
         let normal = [-(by - ay) / length_m, (bx - ax) / length_m];
         Some(Line { point: self.reference_point(beam)?, normal })
     }
@@ -416,16 +414,76 @@ mod tests {
         }
     }
 
+    /// A witness whose reference is this scan.
+    fn witness_of(reference: &LaserScan) -> Witness {
+        let mut witness = Witness::new(Pose2::IDENTITY);
+        witness.observe(reference, &Pose2::IDENTITY);
+        witness
+    }
+
+    #[test]
+    fn the_surface_of_a_point_is_searched_within_four_beams_of_its_direction_on_the_whole_circle() {
+        // Only one beam has neighbours at both sides, 25 cm behind it.
+        for beam in [100, 540, 1000] {
+            let mut scan = scan_of(|_| Range::NoReturn);
+            scan.ranges[beam] = Range::Hit(2.0);
+            scan.ranges[beam - NEIGHBOUR] = Range::Hit(2.25);
+            scan.ranges[beam + NEIGHBOUR] = Range::Hit(2.25);
+            let witness = witness_of(&scan);
+            for (apart, is_found) in [(0, true), (4, true), (-4, true), (5, false), (-5, false)] {
+                let (sin, cos) = GEOMETRY.angle_rad(beam.saturating_add_signed(apart)).sin_cos();
+                let line = witness.nearest_line(&GEOMETRY, [2.0 * cos, 2.0 * sin]);
+                assert_eq!(line.is_some(), is_found, "{apart} from beam {beam}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_beam_of_which_a_neighbour_is_15_percent_nearer_or_farther_lies_on_no_surface() {
+        for (before_m, after_m, is_surface) in [
+            (2.0, 2.0, true),
+            (2.28, 2.28, true),
+            (1.72, 1.72, true),
+            (2.32, 2.0, false),
+            (2.0, 2.32, false),
+            (1.68, 2.0, false),
+            (2.0, 1.68, false),
+        ] {
+            let mut scan = scan_of(|_| Range::NoReturn);
+            scan.ranges[540 - NEIGHBOUR] = Range::Hit(before_m);
+            scan.ranges[540] = Range::Hit(2.0);
+            scan.ranges[540 + NEIGHBOUR] = Range::Hit(after_m);
+            let line = witness_of(&scan).line(540);
+            assert_eq!(line.is_some(), is_surface, "{before_m} and {after_m} m");
+        }
+    }
+
+    #[test]
+    fn a_wall_that_is_nearer_by_2_cm_asks_for_a_motion_of_2_cm_along_its_normal() {
+        let wall_at = |distance_m: f64| {
+            scan_of(|angle| match (angle - 0.6).cos() {
+                cos if cos > 0.3 => Range::Hit((distance_m / cos) as f32),
+                _ => Range::NoReturn,
+            })
+        };
+        let system = witness_of(&wall_at(2.0)).linearize(&wall_at(1.98), &Pose2::IDENTITY);
+        let matched = system.matched as f64;
+        assert!(system.is_enough(), "{matched}");
+        let normal = 0.6_f64.sin_cos();
+        assert!((system.gradient.x / matched - 0.02 * normal.1).abs() < 1e-4);
+        assert!((system.gradient.y / matched - 0.02 * normal.0).abs() < 1e-4);
+        assert!((system.information.m11 / matched - normal.1 * normal.1).abs() < 1e-3);
+        assert!((system.information.m12 / matched - normal.1 * normal.0).abs() < 1e-3);
+    }
+
     #[test]
     fn a_scan_of_which_less_than_half_is_found_again_is_not_matched() {
         for (seen_share, is_matched) in [(0.4, false), (0.6, true)] {
-            let mut witness = Witness::new(Pose2::IDENTITY);
             let whole = scan_at(&Pose2::IDENTITY, 0, 0.0);
             let mut part = whole.clone();
             let seen = (seen_share * GEOMETRY.beams as f64) as usize;
             part.ranges[seen..].fill(Range::NoReturn);
-            witness.observe(&part, &Pose2::IDENTITY);
-            let found = witness.match_scan(&whole, &Pose2::IDENTITY);
+            let found = witness_of(&part).match_scan(&whole, &Pose2::IDENTITY);
             assert_eq!(found.is_some(), is_matched, "{seen_share}");
         }
     }
