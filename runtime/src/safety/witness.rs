@@ -477,6 +477,15 @@ mod tests {
     }
 
     #[test]
+    fn a_room_that_is_seen_rotated_by_a_degree_asks_for_that_rotation_in_the_first_step() {
+        let rotated = Pose2::new(0.0, 0.0, 0.02);
+        let witness = witness_of(&scan_at(&Pose2::IDENTITY, 0, 0.0));
+        let system = witness.linearize(&scan_at(&rotated, 0, 0.0), &Pose2::IDENTITY);
+        let step = system.information.cholesky().unwrap().solve(&system.gradient);
+        assert!((step - Vector3::new(0.0, 0.0, 0.02)).norm() < 0.003, "{step:?}");
+    }
+
+    #[test]
     fn a_scan_of_which_less_than_half_is_found_again_is_not_matched() {
         for (seen_share, is_matched) in [(0.4, false), (0.6, true)] {
             let whole = scan_at(&Pose2::IDENTITY, 0, 0.0);
