@@ -251,14 +251,14 @@ impl Witness {
         }
         let [ax, ay] = self.reference_point(before)?;
         let [bx, by] = self.reference_point(beam + NEIGHBOUR)?;
-        // Neither of them is at the laser, which is not within the share of the middle one's range.
+        // It is not 0: no range is within the share `SURFACE` of a neighbour whose range is 0.
         let length_m = (bx - ax).hypot(by - ay);
         let normal = [-(by - ay) / length_m, (bx - ax) / length_m];
         Some(Line { point: self.reference_point(beam)?, normal })
     }
 }
 
-/// Every so many beams one is matched.
+/// Distance between two beams that are matched, in beams: about [`SAMPLES`] of a scan are.
 fn stride_of(beams: usize) -> usize {
     (beams / SAMPLES).max(1)
 }
@@ -503,7 +503,7 @@ mod tests {
         let room = [Pose2::IDENTITY, motion].map(|pose| scan_at(&pose, 0, 0.0));
         let found = scanner_motion(&room[0], &room[1], &Pose2::IDENTITY).unwrap();
         assert!(found.distance_m(&motion) < 0.01, "{found:?}");
-        // Walls 1 m to the left and to the right, and one 2 m ahead that has no end.
+        // A corridor with walls 1 m to the left and to the right, and a single wall 2 m ahead.
         let corridor = scan_of(|angle| Range::Hit((1.0 / angle.sin().abs()).min(25.0) as f32));
         assert_eq!(scanner_motion(&corridor, &corridor, &Pose2::IDENTITY), None);
         let wall = wall_ahead(2.0);
