@@ -127,7 +127,7 @@ pub struct ExploreArgs {
     /// model if the store never had one.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["dir", "depth"])]
     pub model_store: Option<PathBuf>,
-    /// Which depth goes into the map [default: network if there is a model, else coarse].
+    /// Which depth goes into the map [default: network if there is a model, else dense].
     #[arg(long, value_enum)]
     pub depth: Option<DepthArg>,
     /// How wrong the wheel odometry is [default: `simulator.odometry` of the configuration,
@@ -705,7 +705,8 @@ impl From<PolicyArg> for PolicyKind {
 pub enum DepthArg {
     /// Coarse depth, from matching frames over the known motion of the robot.
     Coarse,
-    /// Coarse depth, completed by what was seen before, by filling and by the walls that the scanner sees.
+    /// Dense depth, as far as a map may believe it: the most probable of coarse depth, what was seen
+    /// before, and what the scan promises.
     Dense,
     /// The output of the depth network.
     Network,

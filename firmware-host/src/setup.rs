@@ -7,7 +7,7 @@ use hal::CameraModel;
 use runtime::exploration::PolicyKind;
 use runtime::lidar_agreement::LidarAgreement;
 use runtime::model_gate::LidarView;
-use runtime::perception::{DepthNetwork, GivenDepth, NetworkOptions};
+use runtime::perception::{DenseConfig, DepthNetwork, GivenDepth, NetworkOptions};
 use runtime::recording::RunHeader;
 use runtime::robot::{DepthSource, RobotConfig, ticks_of_silence};
 
@@ -150,15 +150,22 @@ pub fn check_given(network: &DepthNetwork, config: &Config) -> Result<()> {
 /// The depth source that was asked for, or the one that the presence of a model suggests.
 ///
 /// # Errors
-/// `network` without a model.
-pub fn depth_source(asked: Option<DepthSource>, has_model: bool) -> Result<DepthSource> {
+/// `network` without a model, or `dense` where dense depth is off.
+pub fn depth_source(
+    asked: Option<DepthSource>,
+    has_model: bool,
+    dense: &DenseConfig,
+) -> Result<DepthSource> {
     match asked {
+        Some(DepthSource::Dense) if !dense.enabled => {
+            bail!("--depth dense needs `dense.enabled = true`; without it, use --depth coarse")
+        }
         Some(DepthSource::Network) if !has_model => {
             bail!("--depth network needs --model FILE; without a model, use --depth coarse")
         }
         Some(source) => Ok(source),
         None if has_model => Ok(DepthSource::Network),
-        None => Ok(DepthSource::Coarse),
+        None => Ok(DepthSource::without_network(dense)),
     }
 }
 
@@ -172,7 +179,7 @@ mod tests {
     fn a_robot_without_a_configuration_file_is_the_robot_of_the_scenarios() {
         let config = Config::default();
         let mission =
-            Mission { policy: PolicyKind::Active, depth_source: DepthSource::Coarse, seed: 3 };
+            Mission { policy: PolicyKind::Active, depth_source: DepthSource::Dense, seed: 3 };
         let camera = config.camera.model();
         let of_scenarios =
             RobotConfig::of(&RobotDescription::default(), camera, mission.policy, mission.seed);

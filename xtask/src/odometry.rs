@@ -11,12 +11,13 @@ use crate::paths;
 use crate::tables::{self, Table};
 
 const HOMES: [&str; 3] = ["apartment", "house", "office"];
-const COLUMNS: [&str; 11] = [
+const COLUMNS: [&str; 12] = [
     "home",
     "seed",
     "poses and depth",
     "delta1 unscaled, all / confident half",
     "right of all pixels",
+    "dense depth: right of all pixels / of its more probable half",
     "constant",
     "coverage, at its true place",
     "map error p50 / p90 (cm)",
@@ -108,15 +109,18 @@ fn name(file: &str) -> String {
 }
 
 /// The cells of a run behind home, seed and poses.
-fn results(summary: &Value) -> [String; 8] {
+fn results(summary: &Value) -> [String; 9] {
     // The depth that the map uses.
     let depth = summary["depth_source"].as_str().unwrap_or("coarse");
     let all = figure(summary, &format!("/accuracy/{depth}/all/delta1_unscaled"));
     let confident = figure(summary, &format!("/accuracy/{depth}/confident/delta1_unscaled"));
     let right = figure(summary, &format!("/accuracy/{depth}/all/right"));
+    let dense = figure(summary, "/accuracy/dense/all/right");
+    let dense_confident = figure(summary, "/accuracy/dense/confident/delta1_unscaled");
     [
         format!("{all:.3} / {confident:.3}"),
         format!("{right:.3}"),
+        format!("{dense:.3} / {dense_confident:.3}"),
         format!("{:.3}", figure(summary, "/accuracy/constant/all/right")),
         format!("{:.1} %", 100.0 * figure(summary, "/coverage_true")),
         format!(

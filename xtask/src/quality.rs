@@ -70,7 +70,7 @@ fn with_command(figures: &[Value]) -> Value {
         "made_by": "cargo xtask quality --update",
         "simulated": true,
         "odometry": "realistic",
-        "depth": "coarse",
+        "depth": "dense",
         "frames": FRAMES,
         "homes": figures,
     })

@@ -61,7 +61,7 @@ mod tests {
 
     fn robot(config: &Config) -> Robot {
         let mission =
-            Mission { policy: PolicyKind::Active, depth_source: DepthSource::Coarse, seed: 1 };
+            Mission { policy: PolicyKind::Active, depth_source: DepthSource::Dense, seed: 1 };
         Robot::new(config.robot(&mission), None).unwrap()
     }
 

@@ -35,7 +35,7 @@ use monotonic_clock::monotonic_ns;
 use runtime::event::ExploreEnd;
 use runtime::latency::LatencyHistogram;
 use runtime::recording::{RunHeader, RunIdentity};
-use runtime::robot::{DepthSource, Robot};
+use runtime::robot::Robot;
 use segment_store::signature::RobotKey;
 
 use crate::cli::RunArgs;
@@ -86,7 +86,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
         Some((_, start)) => start.network.take(),
         None => first.map(|path| setup::load_network(path, &camera, &config)).transpose()?,
     };
-    let depth_source = if network.is_some() { DepthSource::Network } else { DepthSource::Coarse };
+    let depth_source = setup::depth_source(None, network.is_some(), &config.dense)?;
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
     let model = network.as_ref().map(|network| network.digest().to_owned());
     let mut robot = Robot::new(config.robot(&mission), network)?;

@@ -3,6 +3,10 @@
 use hal::DepthMap;
 use serde::{Deserialize, Serialize};
 
+/// Highest confidence of depth that no motion has confirmed: below what the map takes (`map.min_confidence`), because dense depth
+/// holds assumed walls and floor. One of them would clear a table top that was not seen, or hide stairs.
+pub(super) const UNCONFIRMED: f32 = 0.75;
+
 /// Depth and its confidence for every pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthEstimate {
@@ -29,6 +33,25 @@ impl DepthEstimate {
             }
         }
         depth
+    }
+
+    /// Limits the confidence to 75 % where `seen`, the frame's coarse depth, has no depth: everywhere if it is `None`.
+    pub fn doubt_unseen(&mut self, seen: Option<&Self>) {
+        let Some(seen) = seen else {
+            self.confidence.iter_mut().for_each(|own| *own = own.min(UNCONFIRMED));
+            return;
+        };
+        for (own, depth) in self.confidence.iter_mut().zip(seen.depth.values()) {
+            if *depth == 0.0 {
+                *own = own.min(UNCONFIRMED);
+            }
+        }
+    }
+
+    /// Takes over the depth and confidence of an estimate of the same size, and keeps the allocations.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.depth.values_mut().copy_from_slice(other.depth.values());
+        self.confidence.copy_from_slice(&other.confidence);
     }
 
     /// Removes all depth and keeps the allocations.

@@ -75,6 +75,7 @@ impl RobotConfig {
         seed: u64,
     ) -> Self {
         let planning = PlanningSection::default();
+        let dense = DenseConfig::default();
         Self {
             camera,
             t_base_camera: robot.camera.t_base_camera(),
@@ -87,9 +88,9 @@ impl RobotConfig {
             command_delay_s: 1.0 / SAFETY_HZ,
             policy,
             seed,
-            depth_source: DepthSource::Coarse,
+            depth_source: DepthSource::without_network(&dense),
             coarse: CoarseConfig::default(),
-            dense: DenseConfig::default(),
+            dense,
             map: MapConfig::default(),
             plan: planning.plan_config(robot),
             follower: planning.follower_config(robot),

@@ -25,8 +25,8 @@ use crate::exploration::{Explorer, Observations};
 use crate::localization::{LocalizationError, Whereabouts};
 use crate::mapping::{MapError, OccupancyGrid, SingleFrameMap, Surfaces};
 use crate::perception::{
-    CoarseDepth, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, Moment, NoDepth,
-    PerceptionError,
+    CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, Moment, NoDepth,
+    PerceptionError, map_depth,
 };
 use crate::planning::{ConfigError, Primitive};
 use crate::recording::input_digest;
@@ -50,7 +50,7 @@ pub use saved_map::{MAP_STATE_VERSION, MapStateError, SavedMap};
 pub enum DepthSource {
     /// Triangulated from known ego-motion; needs no model.
     Coarse,
-    /// Coarse depth, completed by what was seen before, by filling and by the walls that the scanner sees. An experiment.
+    /// Dense depth, as far as a map may believe it (`perception/map_depth.rs`).
     Dense,
     /// The depth network.
     Network,
@@ -60,6 +60,12 @@ pub enum DepthSource {
 
 impl DepthSource {
     pub const ALL: [Self; 4] = [Self::Coarse, Self::Dense, Self::Network, Self::Truth];
+
+    /// The depth that goes into the map of a robot without a network.
+    #[must_use]
+    pub fn without_network(dense: &DenseConfig) -> Self {
+        if dense.enabled { Self::Dense } else { Self::Coarse }
+    }
 
     /// The name on the command line, in the summary and in recordings.
     #[must_use]
@@ -127,6 +133,8 @@ pub struct Robot {
     coarse: CoarseDepth,
     dense: DenseDepth,
     network: Option<DepthNetwork>,
+    /// What the map believes of dense depth, if it uses it.
+    believed: DepthEstimate,
     truth: DepthEstimate,
     has_depth: HasDepth,
     location: Location,
@@ -180,6 +188,7 @@ impl Robot {
             coarse,
             dense,
             network,
+            believed: DepthEstimate::none(config.camera.width, config.camera.height),
             truth: DepthEstimate::none(config.camera.width, config.camera.height),
             has_depth: HasDepth::default(),
             location: Location::new(config.localization.clone(), config.t_base_laser)?,
@@ -218,11 +227,11 @@ impl Robot {
         self.network.replace(network)
     }
 
-    /// Removes the depth network between two ticks. The map then uses coarse depth.
+    /// Removes the depth network between two ticks. The map then uses dense depth, or coarse depth if dense depth is off.
     pub fn remove_network(&mut self) {
         if self.network.take().is_some() {
             self.new_network = Some(Event::NetworkLeft);
-            self.config.depth_source = DepthSource::Coarse;
+            self.config.depth_source = DepthSource::without_network(&self.config.dense);
         }
     }
 
@@ -426,6 +435,10 @@ impl Robot {
                 section: is_sure.then(|| self.map.section()),
             };
             self.dense.complete(&self.coarse, &moment);
+            if self.config.depth_source == DepthSource::Dense {
+                let coarse = coarse.is_ok().then(|| self.coarse.last());
+                map_depth(&mut self.believed, self.dense.last(), coarse);
+            }
         }
         completes
     }
@@ -480,7 +493,7 @@ impl Robot {
     pub fn mapped_depth(&self) -> Option<&DepthEstimate> {
         match self.config.depth_source {
             DepthSource::Coarse => self.coarse_depth(),
-            DepthSource::Dense => self.dense_depth(),
+            DepthSource::Dense => self.has_depth.dense.then_some(&self.believed),
             DepthSource::Network => self.network_depth(),
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         }
@@ -549,7 +562,7 @@ impl Robot {
         // The body of `mapped_depth`, repeated so that the borrow checker sees that `self.map` is not borrowed.
         let depth = match self.config.depth_source {
             DepthSource::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
-            DepthSource::Dense => self.has_depth.dense.then(|| self.dense.last()),
+            DepthSource::Dense => self.has_depth.dense.then_some(&self.believed),
             DepthSource::Network => {
                 self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
             }

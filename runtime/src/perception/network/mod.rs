@@ -46,10 +46,6 @@ use volume::CostVolume;
 /// Indices of the inputs in `ModelSpec::input_ports`.
 const IMAGE: usize = 0;
 const SECOND: usize = 1;
-/// Highest confidence of depth that no motion has confirmed: below what the map takes (`map.min_confidence`), because dense depth
-/// holds assumed walls and floor. One of them would clear a table top that was not seen, or hide stairs.
-const UNCONFIRMED: f32 = 0.75;
-
 /// A loaded model with its bound memory. One call of [`estimate`](Self::estimate) blocks for one inference.
 #[derive(Debug)]
 pub struct DepthNetwork {
@@ -220,15 +216,7 @@ impl DepthNetwork {
     /// Limits the confidence of the last estimate where `seen` has no depth. The robot does this for models that are given dense
     /// depth, with coarse depth as `seen`.
     pub fn doubt_unseen(&mut self, seen: Option<&DepthEstimate>) {
-        let Some(seen) = seen else {
-            self.estimate.confidence.iter_mut().for_each(|own| *own = own.min(UNCONFIRMED));
-            return;
-        };
-        for (own, depth) in self.estimate.confidence.iter_mut().zip(seen.depth.values()) {
-            if *depth == 0.0 {
-                *own = own.min(UNCONFIRMED);
-            }
-        }
+        self.estimate.doubt_unseen(seen);
     }
 
     /// The result of the last [`estimate`](Self::estimate); without any depth if it failed.
