@@ -117,7 +117,7 @@ pub struct ExploreArgs {
     /// How the robot chooses its goals.
     #[arg(long, value_enum, default_value_t = PolicyArg::Active)]
     pub policy: PolicyArg,
-    /// Depth network (ONNX file). Without one, only coarse depth is used.
+    /// Depth network (ONNX file). Without one, dense depth is used.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Folder of signed models. The robot uses the current one, and switches to a model that is
@@ -266,7 +266,7 @@ pub struct RunArgs {
     /// How the robot chooses its goals.
     #[arg(long, value_enum, default_value_t = PolicyArg::Active)]
     pub policy: PolicyArg,
-    /// Depth network (ONNX file). Without one, only coarse depth is used.
+    /// Depth network (ONNX file). Without one, dense depth is used.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Folder of signed models. The robot uses the current one, and switches to a model that is

@@ -185,4 +185,24 @@ mod tests {
             RobotConfig::of(&RobotDescription::default(), camera, mission.policy, mission.seed);
         assert_eq!(config.robot(&mission), of_scenarios);
     }
+
+    #[test]
+    fn without_a_model_the_map_uses_dense_depth_and_coarse_depth_if_that_is_off() {
+        let on = DenseConfig::default();
+        let off = DenseConfig { enabled: false, ..DenseConfig::default() };
+        assert_eq!(depth_source(None, false, &on).unwrap(), DepthSource::Dense);
+        assert_eq!(depth_source(None, false, &off).unwrap(), DepthSource::Coarse);
+        assert_eq!(depth_source(None, true, &on).unwrap(), DepthSource::Network);
+        let coarse = Some(DepthSource::Coarse);
+        assert_eq!(depth_source(coarse, true, &on).unwrap(), DepthSource::Coarse);
+    }
+
+    #[test]
+    fn dense_depth_that_is_off_and_a_network_that_is_missing_are_refused_with_the_way_out() {
+        let off = DenseConfig { enabled: false, ..DenseConfig::default() };
+        let dense = depth_source(Some(DepthSource::Dense), false, &off).unwrap_err();
+        assert!(dense.to_string().contains("`dense.enabled = true`"), "{dense}");
+        let network = depth_source(Some(DepthSource::Network), false, &off).unwrap_err();
+        assert!(network.to_string().contains("--model FILE"), "{network}");
+    }
 }

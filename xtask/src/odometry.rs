@@ -14,10 +14,10 @@ const HOMES: [&str; 3] = ["apartment", "house", "office"];
 const COLUMNS: [&str; 12] = [
     "home",
     "seed",
-    "poses and depth",
-    "delta1 unscaled, all / confident half",
-    "right of all pixels",
-    "dense depth: right of all pixels / of its more probable half",
+    "poses and map",
+    "coarse depth: delta1 unscaled, all / confident half",
+    "coarse depth: right of all pixels",
+    "depth of the map: right of all pixels / of its more probable half",
     "constant",
     "coverage, at its true place",
     "map error p50 / p90 (cm)",
@@ -25,13 +25,14 @@ const COLUMNS: [&str; 12] = [
     "heading at the end (deg)",
     "collisions",
 ];
-/// The rows of each home, with the names of their folders: where poses come from, and coarse depth or that of the default network.
-const ROWS: [(&str, &str); 5] = [
-    ("wheels and scans", "scans"),
+/// The rows of each home, with the names of their folders: where poses come from, and the depth of the map, if it is not dense depth.
+const ROWS: [(&str, &str); 6] = [
+    ("wheels and scans", "dense"),
     ("wheels and scans, network", "network"),
-    ("noise of 3 % / 5 %, and scans", "noisy"),
-    ("wheels alone", "wheels"),
-    ("error-free", "perfect"),
+    ("wheels and scans, map of coarse depth", "scans"),
+    ("noise of 3 % / 5 %, and scans, map of coarse depth", "noisy"),
+    ("wheels alone, map of coarse depth", "wheels"),
+    ("error-free", "perfect-dense"),
 ];
 
 /// A bad base: of the default errors of odometry, the noise is raised to 3 % of the distance and 5 % of a rotation.
@@ -61,13 +62,15 @@ pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<(
                     ["--scene", &scene, "--policy", "active"].map(String::from).to_vec();
                 let length = ["--frames", &frames, "--seed", &seed.to_string()];
                 arguments.extend(length.map(String::from));
-                arguments.extend(match folder {
-                    "network" => vec!["--model".to_owned(), network.clone()],
-                    "wheels" => vec!["--config".to_owned(), wheels.clone()],
-                    "noisy" => vec!["--config".to_owned(), noisy.clone()],
-                    "perfect" => vec!["--odometry".to_owned(), "perfect".to_owned()],
+                let of_row = match folder {
+                    "network" => vec!["--model", &network],
+                    "scans" => vec!["--depth", "coarse"],
+                    "noisy" => vec!["--depth", "coarse", "--config", &noisy],
+                    "wheels" => vec!["--depth", "coarse", "--config", &wheels],
+                    "perfect-dense" => vec!["--odometry", "perfect"],
                     _ => Vec::new(),
-                });
+                };
+                arguments.extend(of_row.into_iter().map(String::from));
                 labels.push([home.clone(), seed.to_string(), row.to_owned()]);
                 let out = dir.join(format!("{home}-{seed}-{folder}"));
                 explorations.push(Exploration { arguments, out });
@@ -110,17 +113,11 @@ fn name(file: &str) -> String {
 
 /// The cells of a run behind home, seed and poses.
 fn results(summary: &Value) -> [String; 9] {
-    // The depth that the map uses.
-    let depth = summary["depth_source"].as_str().unwrap_or("coarse");
-    let all = figure(summary, &format!("/accuracy/{depth}/all/delta1_unscaled"));
-    let confident = figure(summary, &format!("/accuracy/{depth}/confident/delta1_unscaled"));
-    let right = figure(summary, &format!("/accuracy/{depth}/all/right"));
-    let dense = figure(summary, "/accuracy/dense/all/right");
-    let dense_confident = figure(summary, "/accuracy/dense/confident/delta1_unscaled");
+    let map = summary["depth_source"].as_str().unwrap_or("dense");
     [
-        format!("{all:.3} / {confident:.3}"),
-        format!("{right:.3}"),
-        format!("{dense:.3} / {dense_confident:.3}"),
+        two(summary, "coarse/all/delta1_unscaled", "coarse/confident/delta1_unscaled"),
+        format!("{:.3}", figure(summary, "/accuracy/coarse/all/right")),
+        two(summary, &format!("{map}/all/right"), &format!("{map}/confident/delta1_unscaled")),
         format!("{:.3}", figure(summary, "/accuracy/constant/all/right")),
         format!("{:.1} %", 100.0 * figure(summary, "/coverage_true")),
         format!(
@@ -132,6 +129,12 @@ fn results(summary: &Value) -> [String; 9] {
         format!("{:.1}", figure(summary, "/pose_error/yaw_end_deg")),
         format!("{}", figure(summary, "/collisions")),
     ]
+}
+
+/// Two accuracies in one cell.
+fn two(summary: &Value, first: &str, second: &str) -> String {
+    let [first, second] = [first, second].map(|key| figure(summary, &format!("/accuracy/{key}")));
+    format!("{first:.3} / {second:.3}")
 }
 
 /// Every number of the summaries in the mean; collisions are added up.

@@ -50,7 +50,7 @@ const COLUMNS: [&str; 8] = [
     "within 0.1 m of an edge",
     "fell",
     "coverage at its true place",
-    "right of all pixels",
+    "coarse depth: right of all pixels",
     "collisions",
 ];
 

@@ -342,7 +342,7 @@ fn roll_back(store: &mut Store, why: &str, as_json: bool) -> Result<ExitCode> {
             );
         }
         (false, None) => {
-            println!("no model is left: the robot now uses coarse depth only");
+            println!("no model is left: the robot now uses depth that needs no network");
         }
     }
     Ok(ExitCode::SUCCESS)
@@ -384,7 +384,7 @@ fn list(store: &Store, as_json: bool, config: &Config) -> Result<ExitCode> {
         println!("{}  {}  {role}{damage}", short(digest), history.name(digest));
     }
     if state.models.is_empty() {
-        println!("no model is installed: the robot uses coarse depth only");
+        println!("no model is installed: the robot uses depth that needs no network");
     }
     for entry in &history.entries {
         let what = serde_json::to_value(entry.what).unwrap_or_default();

@@ -36,7 +36,7 @@ pub enum StoreError {
     #[error("the model {digest} in {} has no signature and did not come with the program; install it with `firmware-host model install`", dir.display())]
     Unsigned { digest: String, dir: PathBuf },
     /// A rollback was requested, but no model is installed.
-    #[error("there is no model in {} to roll back: the robot already uses coarse depth only", dir.display())]
+    #[error("there is no model in {} to roll back: the robot already uses depth that needs no network", dir.display())]
     Empty { dir: PathBuf },
 }
 

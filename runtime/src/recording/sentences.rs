@@ -52,7 +52,7 @@ pub fn sentence(event: &Event) -> (Severity, String) {
             (Info, format!("depth network loaded: {}", digest.get(..12).unwrap_or(digest)))
         }
         Event::NetworkLeft => {
-            (Warning, "depth network removed: the map uses coarse depth".to_owned())
+            (Warning, "depth network removed: the map uses depth that needs no network".to_owned())
         }
         Event::MapCorrected { shift_m } => {
             (Info, format!("a loop was closed: the map moved {shift_m:.2} m at the robot's place"))
