@@ -323,9 +323,9 @@ fn interference(ticks: &[Tick]) -> (f64, usize) {
     (slow as f64 / ticks.len() as f64, stops.count())
 }
 
-/// The [`interference`] of each of four drives of a minute with healthy devices, this scanner and this mount of the camera.
-fn interference_of_four_minutes(laser: &LaserModel, mount: CameraMount) -> Vec<(f64, usize)> {
-    (1..=4)
+/// The [`interference`] of each of `drives` drives of a minute with healthy devices, this scanner and this mount of the camera.
+fn interference_of(drives: u64, laser: &LaserModel, mount: CameraMount) -> Vec<(f64, usize)> {
+    (1..=drives)
         .map(|seed| {
             let sensors = Sensors { laser: laser.clone(), mount, ..Sensors::default() };
             let mut scenario =
@@ -340,7 +340,7 @@ fn interference_of_four_minutes(laser: &LaserModel, mount: CameraMount) -> Vec<(
 #[test]
 fn healthy_devices_in_a_home_without_glass_cause_no_stop_and_little_slow_driving() {
     let sees_all = LaserModel { misses_materials: false, ..LaserModel::UTM_30LX };
-    for (slow, stops) in interference_of_four_minutes(&sees_all, CameraMount::default()) {
+    for (slow, stops) in interference_of(4, &sees_all, CameraMount::default()) {
         assert_eq!(stops, 0);
         assert!(slow < 0.05, "slow for {slow} of the ticks");
     }
@@ -348,19 +348,19 @@ fn healthy_devices_in_a_home_without_glass_cause_no_stop_and_little_slow_driving
 
 #[test]
 fn before_glass_and_black_lacquer_the_robot_is_slow_and_stops_at_most_once_in_a_minute() {
-    for (slow, stops) in interference_of_four_minutes(&LaserModel::UTM_30LX, CameraMount::LEVEL) {
+    for (slow, stops) in interference_of(4, &LaserModel::UTM_30LX, CameraMount::LEVEL) {
         assert!(stops <= 1, "{stops} stops");
         assert!(slow < 0.15, "slow for {slow} of the ticks");
     }
 }
 
 /// With this mount the robot takes other paths. One of them leads along a wide glass, where it stops twice within five seconds: only
-/// the part of the glass before which it has stopped is known then.
+/// the part of the glass before which it has stopped is known then. In twelve such drives it stopped four times, as with a map of coarse depth.
 #[test]
-fn before_glass_a_robot_whose_camera_looks_down_stops_at_most_twice_in_four_minutes() {
-    let drives = interference_of_four_minutes(&LaserModel::UTM_30LX, CameraMount::default());
+fn before_glass_a_robot_whose_camera_looks_down_stops_at_most_three_times_in_six_minutes() {
+    let drives = interference_of(6, &LaserModel::UTM_30LX, CameraMount::default());
     let stops: usize = drives.iter().map(|(_, stops)| stops).sum();
     assert!(drives.iter().filter(|(_, stops)| *stops > 1).count() <= 1, "{drives:?}");
-    assert!(stops <= 2, "{stops} stops");
+    assert!(stops <= 3, "{stops} stops");
     assert!(drives.iter().all(|(slow, _)| *slow < 0.15), "{drives:?}");
 }
