@@ -4,8 +4,7 @@
 //! (`voxel_map.rs`); where both agree, the probability rises. A cell for which neither is more probable than 50 % is filled from the
 //! cells around it (`fill.rs`). Last, a cell takes the wall or the floor that the scan promises (`walls.rs`) where that is more probable.
 //!
-//! The map uses none of this but coarse depth: it knows already what was seen before and what the scanner hit, and a filled cell was
-//! never seen.
+//! What a map may believe of it is in `map_depth.rs`.
 
 use hal::{CameraModel, LaserScan, Pose2, Pose3};
 
