@@ -13,7 +13,7 @@ const SYSTEM_NAMES: [&str; 2] = ["libonnxruntime.so.1", "libonnxruntime.so"];
 /// ONNX Runtime could not be loaded from any known place.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "ONNX Runtime 1.22 or newer was not found; run `cargo xtask setup`, set ORT_DYLIB_PATH to libonnxruntime.so, or use `--depth coarse`, which does not need it. Tried:\n  {}",
+    "ONNX Runtime 1.22 or newer was not found; run `cargo xtask setup`, set ORT_DYLIB_PATH to libonnxruntime.so, or leave out `--model`, which needs it. Tried:\n  {}",
     .tried.join("\n  ")
 )]
 pub struct OnnxRuntimeMissing {
@@ -142,7 +142,7 @@ mod tests {
         for word in [
             "cargo xtask setup",
             "ORT_DYLIB_PATH",
-            "--depth coarse",
+            "leave out `--model`",
             "/a: no such file",
             "/b: too old",
         ] {

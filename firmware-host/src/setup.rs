@@ -161,7 +161,7 @@ pub fn depth_source(
             bail!("--depth dense needs `dense.enabled = true`; without it, use --depth coarse")
         }
         Some(DepthSource::Network) if !has_model => {
-            bail!("--depth network needs --model FILE; without a model, use --depth coarse")
+            bail!("--depth network needs --model FILE; without a model, leave out --depth")
         }
         Some(source) => Ok(source),
         None if has_model => Ok(DepthSource::Network),

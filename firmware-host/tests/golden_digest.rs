@@ -21,7 +21,7 @@ fn committed() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden_digest.json")
 }
 
-/// Explores 150 frames of a simulated home with coarse depth and the default configuration.
+/// Explores 150 frames of a simulated home without a network, with the default configuration.
 fn digest(policy: &str) -> String {
     let dir = TempDir::new().unwrap();
     let out = dir.path().join("run");

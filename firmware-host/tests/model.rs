@@ -264,7 +264,7 @@ fn a_model_that_is_blind_near_the_robot_is_rolled_back_in_its_trial() {
 }
 
 #[test]
-fn a_first_model_that_misbehaves_leaves_coarse_depth() {
+fn a_first_model_that_misbehaves_leaves_no_network() {
     let robot = Robot::new();
     let said = robot.install(&robot.signed("nan_in_the_dark"), &["--unproven"]);
     assert_eq!(said["accepted"], true, "{said}");

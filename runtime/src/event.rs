@@ -40,7 +40,7 @@ pub enum Event {
         /// BLAKE3 digest of its file, in hex.
         digest: String,
     },
-    /// The depth network was removed without a successor; coarse depth is used from this tick on.
+    /// The depth network was removed without a successor; the map uses depth that needs no network from this tick on.
     NetworkLeft,
     /// Localization closed a loop, and the map was drawn anew on the corrected path.
     MapCorrected {

@@ -15,8 +15,10 @@ pub fn run() -> Result<()> {
     let model = match onnx_runtime::install() {
         Ok(_) => Some(paths::root().join(MODEL)),
         Err(error) => {
-            // A missing network is not an error: the robot also explores with coarse depth alone.
-            println!("no depth network ({error}); the robot explores with coarse depth");
+            // A missing network is not an error: the robot also explores without one.
+            println!(
+                "no depth network ({error}); the robot explores with dense depth, which needs none"
+            );
             None
         }
     };

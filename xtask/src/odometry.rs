@@ -17,7 +17,7 @@ const COLUMNS: [&str; 12] = [
     "poses and map",
     "coarse depth: delta1 unscaled, all / confident half",
     "coarse depth: right of all pixels",
-    "depth of the map: right of all pixels / of its more probable half",
+    "depth that the map is made from: right of all pixels / of its more probable half",
     "constant",
     "coverage, at its true place",
     "map error p50 / p90 (cm)",

@@ -28,7 +28,7 @@ function rows(health) {
     ["Temperature", power.temperature_c == null ? null : { text: number(power.temperature_c, "\u00b0C", 0), bad: power.is_hot }],
     ["Mapped floor", number(exploration.mapped_m2, "m\u00b2")],
     ["Depth within 25 %", exploration.line ? `${(100 * exploration.line.delta1).toFixed(0)} %` : null],
-    ["Model", exploration.model ? exploration.model.slice(0, 12) + (exploration.on_trial ? " (trial)" : "") : "coarse depth"],
+    ["Model", exploration.model ? exploration.model.slice(0, 12) + (exploration.on_trial ? " (trial)" : "") : "none"],
     ["Tick, median / 99 %", `${exploration.tick_p50_ms.toFixed(0)} / ${exploration.tick_p99_ms.toFixed(0)} ms`],
     ["Stops for obstacles", `${safety.stops}`],
     ["Recording", recording(health)],

@@ -43,7 +43,7 @@ pub enum ModelCommand {
     List,
     /// Check the signature of a model without running the model. Exits with 1 if it is not valid.
     Verify(VerifyArgs),
-    /// Go back to the model before the current one, or to coarse depth if there is none.
+    /// Go back to the model before the current one, or to depth that needs no network if there is none.
     Rollback(RollbackArgs),
     /// Fails with a hint: signing keys are made on the workstation, and this program cannot sign.
     #[command(hide = true)]

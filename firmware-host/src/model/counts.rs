@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// The counts of one model.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Counted {
-    /// BLAKE3 digest of the model, hexadecimal; `None` for coarse depth only.
+    /// BLAKE3 digest of the model, hexadecimal; `None` without a network.
     pub digest: Option<String>,
     pub counts: TrialCounts,
 }
@@ -23,7 +23,7 @@ pub struct SavedCounts {
 }
 
 impl SavedCounts {
-    /// The counts of the resident model, or of coarse depth for `None`; all 0 if another one was
+    /// The counts of the resident model, or of the robot without one for `None`; all 0 if another one was
     /// counted.
     #[must_use]
     pub fn of_resident(&self, digest: Option<&str>) -> TrialCounts {

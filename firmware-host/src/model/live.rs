@@ -38,7 +38,7 @@ const SAVED_EVERY_TICKS: u64 = 100;
 pub enum Swap {
     /// Use this network, which is loaded and warmed up.
     To { network: Box<DepthNetwork>, on_trial: bool },
-    /// Use no network, only coarse depth.
+    /// Use no network.
     ToNone,
 }
 
@@ -75,7 +75,7 @@ impl Keeper {
     ///
     /// A current model that cannot be loaded is rolled back. A model whose signature is not trusted
     /// any more is not used, and stays in the store: the robot starts with the one before it, or
-    /// with coarse depth. If the store's own file is damaged, the store is rolled back to a model
+    /// without a network. If the store's own file is damaged, the store is rolled back to a model
     /// that has passed its trial.
     ///
     /// # Errors
@@ -254,14 +254,14 @@ enum NotLoaded {
 
 /// The networks that the robot starts with.
 pub struct Start {
-    /// The network in use; `None` for coarse depth only.
+    /// The network in use, if there is one.
     pub network: Option<DepthNetwork>,
     /// Digest of `network` if it is on trial.
     pub on_trial: Option<String>,
     /// The network before it, if `network` is on trial.
     pub resident: Option<DepthNetwork>,
     /// Digest of the model that a candidate is compared with: of `resident` during a trial, else of
-    /// `network`; `None` for coarse depth only.
+    /// `network`; `None` without one.
     pub compared_with: Option<String>,
     /// What was counted before the start.
     pub counts: SavedCounts,
@@ -434,6 +434,8 @@ impl LiveModels {
             .iter()
             .filter(|event| matches!(event, Event::Safety { what: SafetyEvent::Tripped { .. } }))
             .count() as u64;
+        // Dense depth is made with the scan, so that it always agrees with it.
+        let compared = robot.compared_depth();
         let depth = robot.mapped_depth();
         let line = self.lidar.of_tick(input);
         TrialTick {
@@ -442,7 +444,7 @@ impl LiveModels {
             trips,
             moving: !input.safety.in_charge && decision.sent.is_some_and(is_motion),
             moved_m: if moved_m < 0.5 { moved_m } else { 0.0 },
-            delta1: depth
+            delta1: compared
                 .and_then(|estimate| lidar_score(estimate, &line))
                 .map(|score| score.delta1),
             lost_near: depth

@@ -121,8 +121,11 @@ fn draw_frame(canvas: &mut Canvas, row: &SheetRow, top: i64) {
 }
 
 fn draw_depth(canvas: &mut Canvas, row: &SheetRow, scale: &DepthScale, top: i64) {
-    let depth = row.network.as_ref().or(row.coarse.as_ref());
-    let label = if row.network.is_some() { "network depth" } else { "coarse depth" };
+    let (depth, label) = match (&row.network, &row.dense) {
+        (Some(network), _) => (Some(network), "network depth"),
+        (None, Some(dense)) => (Some(dense), "dense depth"),
+        (None, None) => (row.coarse.as_ref(), "coarse depth"),
+    };
     canvas.text(GAP, top, label, Font::Label, FAINT);
     draw_pixels(canvas, row, top + LABEL, |index, x, y| {
         let depth_m = depth.map_or(0.0, |depth| depth.depth_m[index]);

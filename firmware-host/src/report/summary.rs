@@ -123,8 +123,8 @@ pub struct Summary {
     /// Accuracy of depth compared with ground truth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<DepthAccuracy>,
-    /// Recent agreement of the mapped depth with the LiDAR. Unlike `accuracy`, a real robot can
-    /// measure it.
+    /// Recent agreement of the map's depth with the LiDAR; of coarse depth, if the map uses dense
+    /// depth, which is made with the scan. Unlike `accuracy`, a real robot can measure it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lidar_line: Option<LidarLine>,
     /// How late the camera stamps its frames, as image motion shows it.
@@ -198,7 +198,7 @@ impl fmt::Display for CameraLatency {
     }
 }
 
-/// Agreement of the mapped depth with the LiDAR's returns in the image.
+/// Agreement of depth with the LiDAR's returns in the image.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LidarLine {
     pub all: AgreementStats,

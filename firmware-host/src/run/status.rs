@@ -179,7 +179,7 @@ pub struct ExplorationStatus {
     pub line_by_distance: Vec<AgreementStats>,
     /// What the robot finds of its own calibration.
     pub calibration: CalibrationStatus,
-    /// Digest of the model in use; absent with coarse depth.
+    /// Digest of the model in use; absent without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
     /// Digest of the model on trial, if there is one.

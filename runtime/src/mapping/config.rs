@@ -57,7 +57,8 @@ hal::settings! {
             source "20 homes with stairs: no fall; with 0.999 two falls in four of them";
         /// Clearing stops this fraction of the distance before an obstacle, because depth is noisy, and more so far away.
         clear_margin: f32 = 0.05, in 0.0..=0.9;
-        /// Depth with a lower probability of being correct stays out of the map.
+        /// Depth with a lower probability of being correct stays out of the map. At 0.75 or less, walls and floor that are only
+        /// assumed enter it.
         min_confidence: f32 = 0.8, in 0.0..=1.0;
         /// After the camera was turned by more than this during the run, the map takes no more depth from it, and the robot goes
         /// on with scans; 180: it always takes depth. See docs/calibration.md.

@@ -75,7 +75,7 @@ hal::settings! {
 hal::settings! {
     /// Dense depth: coarse depth, completed by what was seen before and by the cells around.
     pub struct DenseConfig {
-        /// Whether dense depth is computed. The map of a robot without a network then uses it.
+        /// Whether dense depth is computed. If it is, the map of a robot without a network uses it, else coarse depth.
         enabled: bool = true;
         /// A frame is put into the voxel map when the camera is this far from the last one that was.
         learn_step_m: f64 = 0.05, in 0.01..=1.0, unit "m";

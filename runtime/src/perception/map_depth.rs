@@ -1,13 +1,15 @@
 //! What a map may believe of dense depth.
 //!
 //! Dense depth holds assumptions: floor before what the scanner hit, an upright wall above it, and filled holes. Most of them are right,
-//! and they correct coarse depth on blank walls. But a robot must not drive into what an assumption hides, so they never clear the map:
+//! and they correct coarse depth on blank walls. But a robot must not drive into what an assumption hides:
 //!
 //! * Where coarse depth has no value, a table top or stairs down may be what was not seen. There the confidence stays below what the map
 //!   takes (`DepthEstimate::doubt_unseen`).
 //! * Where coarse depth is nearer, it may be a table top before the wall that the scanner sees between its legs. Coarse depth is kept,
-//!   because a touch costs more than a detour. Only if the odds of the farther depth are `FARTHER_ODDS` times as good is it a mistake of a
-//!   blank wall: then the map takes neither of them.
+//!   because a touch costs more than a detour. Only if the odds p / (1 - p) of the farther depth are `FARTHER_ODDS` times as good is it
+//!   a mistake of a blank wall: then the map takes neither of them.
+//!
+//! Where coarse depth is farther, as over stairs down, the more probable of both counts, as `dense.rs` has chosen.
 
 use super::DepthEstimate;
 use super::estimate::UNCONFIRMED;

@@ -24,7 +24,7 @@ pub struct RunHeader {
     pub scene: Option<String>,
     /// Name of the policy.
     pub policy: String,
-    /// Where depth comes from: `coarse`, `network` or `truth`.
+    /// Where the depth of the map comes from: `coarse`, `dense`, `network` or `truth`.
     pub depth_source: String,
     /// BLAKE3 digest of the model file, if there is a model.
     #[serde(skip_serializing_if = "Option::is_none", default)]

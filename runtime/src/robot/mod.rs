@@ -96,8 +96,11 @@ pub enum RobotError {
     #[error("planning: {0}")]
     Planning(#[from] ConfigError),
     /// The depth source is `network`, and there is no network.
-    #[error("depth source `network` needs a model: give one, or take `coarse`")]
+    #[error("depth source `network` needs a model: give one, or take `dense` or `coarse`")]
     NoModel,
+    /// The depth source is `dense`, and dense depth is not computed.
+    #[error("depth source `dense` needs `dense.enabled = true`: set it, or take `coarse`")]
+    NoDense,
 }
 
 /// Stages of one tick, for latency reports.
@@ -175,10 +178,13 @@ impl Robot {
     /// A robot with an empty map.
     ///
     /// # Errors
-    /// When a part of the configuration is out of range, or the depth source is `network` and there is none.
+    /// When a part of the configuration is out of range, or the robot does not have the depth source.
     pub fn new(config: RobotConfig, network: Option<DepthNetwork>) -> Result<Self, RobotError> {
         if config.depth_source == DepthSource::Network && network.is_none() {
             return Err(RobotError::NoModel);
+        }
+        if config.depth_source == DepthSource::Dense && !config.dense.enabled {
+            return Err(RobotError::NoDense);
         }
         let rng = Pcg64Mcg::seed_from_u64(config.seed);
         let coarse = CoarseDepth::new(config.coarse.clone(), config.camera)?.with_floor(true);

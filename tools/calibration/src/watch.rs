@@ -177,7 +177,7 @@ fn undisturbed(seeds: Range<u64>, seconds: f64) -> Result<()> {
 fn reports(config: &Config, seed: u64, frames: bool, seconds: f64, most_m: f64) -> Result<Reports> {
     let scene = format!("{}?seed={seed}", HOMES[seed as usize % HOMES.len()]);
     let world = Arc::new(World::open(&scene, &OpenOptions::default())?);
-    let mission = Mission { policy: PolicyKind::Active, depth_source: DepthSource::Dense, seed };
+    let mission = Mission { policy: PolicyKind::Active, depth_source: DepthSource::Coarse, seed };
     let mut config = config.clone();
     config.dense.enabled = false;
     let mut robot = Robot::new(config.robot(&mission), None)?;
