@@ -202,7 +202,7 @@ mod tests {
 
     fn home(right: f64, touches: u64) -> Value {
         json!({"scene": HOMES[0].0, "right_of_all": right, "confident_unscaled": 0.99, "dense_right_of_all": 0.9,
-               "coverage": 0.6, "coverage_true": 0.6, "map_off10": 0.05, "map_error_p90_m": 0.06,
+               "coverage": 0.8, "coverage_true": 0.8, "map_off10": 0.04, "map_error_p90_m": 0.05,
                "collisions": touches, "digest": "d"})
     }
 
