@@ -11,7 +11,7 @@ use drivers::fault::{
 use hal::{CameraModel, CameraMount, Clock, Pose2, RobotDescription, Twist2};
 use runtime::exploration::PolicyKind;
 use runtime::recording::RecordedTick;
-use runtime::robot::{Robot, RobotConfig, SAFETY_HZ, Stage, StageTimer};
+use runtime::robot::{DepthSource, Robot, RobotConfig, SAFETY_HZ, Stage, StageTimer};
 use runtime::safety::SentCommand;
 use runtime::safety::{Request, SafetyConfig, SafetyLoop};
 use runtime::session::{Observer, Session, VirtualDevices, VirtualTime, recompute, safety_link};
@@ -57,10 +57,13 @@ impl Tick {
 }
 
 /// What differs between the robots of scenarios.
+#[derive(Debug, Clone)]
 pub struct Sensors {
     pub laser: LaserModel,
     pub mount: CameraMount,
     pub camera: CameraModel,
+    /// The depth that goes into the map.
+    pub depth: DepthSource,
 }
 
 impl Default for Sensors {
@@ -70,6 +73,7 @@ impl Default for Sensors {
             laser: LaserModel::UTM_30LX,
             mount: CameraMount::default(),
             camera: CameraModel::pinhole(160, 64, FRAC_PI_2),
+            depth: DepthSource::Dense,
         }
     }
 }
@@ -95,13 +99,17 @@ impl Scenario {
         seed: u64,
         sensors: Sensors,
     ) -> Result<Self, Box<dyn Error>> {
-        let Sensors { laser, mount, camera } = sensors;
+        let Sensors { laser, mount, camera, depth } = sensors;
         let world = World::open("builtin:apartment?seed=1", &OpenOptions::default())?;
         let description = RobotDescription { camera: mount, ..RobotDescription::default() };
         let t_base_camera = mount.t_base_camera();
         let options =
             RobotOptions { camera, seed, laser, t_base_camera, ..RobotOptions::default() };
-        let robot = Robot::new(RobotConfig::of(&description, camera, policy, seed), None)?;
+        let config = RobotConfig {
+            depth_source: depth,
+            ..RobotConfig::of(&description, camera, policy, seed)
+        };
+        let robot = Robot::new(config, None)?;
         let simulated = SimulatedRobot::new(Arc::new(world), options)?;
         let devices = simulated.devices();
         let clock = simulated.devices().clock;

@@ -23,8 +23,8 @@ pub struct SavedCounts {
 }
 
 impl SavedCounts {
-    /// The counts of the resident model, or of the robot without one for `None`; all 0 if another one was
-    /// counted.
+    /// The counts of the resident model, or of the robot without one for `None`; all 0 if another
+    /// one was counted.
     #[must_use]
     pub fn of_resident(&self, digest: Option<&str>) -> TrialCounts {
         let same = self.resident.digest.as_deref() == digest;
