@@ -258,6 +258,12 @@ impl Localizer {
         self.global.revision()
     }
 
+    /// Whether loops are being searched for or closed, in the updates to come.
+    #[must_use]
+    pub fn is_closing(&self) -> bool {
+        self.global.is_busy()
+    }
+
     /// Counts the loop closures that were accepted.
     #[must_use]
     pub fn closures(&self) -> u64 {

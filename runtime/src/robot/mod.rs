@@ -25,8 +25,8 @@ use crate::exploration::{Explorer, Observations};
 use crate::localization::{LocalizationError, Whereabouts};
 use crate::mapping::{MapError, OccupancyGrid, SingleFrameMap, Surfaces};
 use crate::perception::{
-    CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, Moment, NoDepth,
-    PerceptionError, map_depth,
+    CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, MapDepth,
+    Moment, NoDepth, PerceptionError,
 };
 use crate::planning::{ConfigError, Primitive};
 use crate::recording::input_digest;
@@ -136,8 +136,8 @@ pub struct Robot {
     coarse: CoarseDepth,
     dense: DenseDepth,
     network: Option<DepthNetwork>,
-    /// What the map believes of dense depth, if it uses it.
-    believed: DepthEstimate,
+    /// What the map believes of dense depth, and of a network that is given dense depth.
+    believed: MapDepth,
     truth: DepthEstimate,
     has_depth: HasDepth,
     location: Location,
@@ -194,7 +194,7 @@ impl Robot {
             coarse,
             dense,
             network,
-            believed: DepthEstimate::none(config.camera.width, config.camera.height),
+            believed: MapDepth::new(&config.camera, &config.t_base_camera),
             truth: DepthEstimate::none(config.camera.width, config.camera.height),
             has_depth: HasDepth::default(),
             location: Location::new(config.localization.clone(), config.t_base_laser)?,
@@ -415,9 +415,6 @@ impl Robot {
                 GivenDepth::Dense => self.has_depth.dense.then(|| self.dense.last()),
             };
             let result = network.estimate(frame, t_odom_camera, given).map(|_| ());
-            if network.spec().given == GivenDepth::Dense {
-                network.doubt_unseen(self.has_depth.coarse.then(|| self.coarse.last()));
-            }
             timer.ended(Stage::Network);
             self.has_depth.network = result.is_ok();
             if let Err(why) = result {
@@ -426,6 +423,26 @@ impl Robot {
         } else if let Err(why) = coarse {
             events.push(Event::NoDepth { why });
         }
+        self.limit_assumptions();
+    }
+
+    /// Limits what the map believes of depth that holds assumptions.
+    fn limit_assumptions(&mut self) {
+        let assumed = match self.config.depth_source {
+            DepthSource::Dense => self.has_depth.dense.then(|| self.dense.last()),
+            DepthSource::Network if self.network_assumes() => {
+                self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
+            }
+            _ => None,
+        };
+        if let Some(assumed) = assumed {
+            self.believed.limit(assumed, self.has_depth.coarse.then(|| self.coarse.last()));
+        }
+    }
+
+    /// Whether the network is given dense depth, and so its assumptions.
+    fn network_assumes(&self) -> bool {
+        self.network.as_ref().is_some_and(|network| network.spec().given == GivenDepth::Dense)
     }
 
     /// Completes this frame's coarse depth, or its lack of parallax. Whether there is dense depth.
@@ -441,10 +458,6 @@ impl Robot {
                 section: is_sure.then(|| self.map.section()),
             };
             self.dense.complete(&self.coarse, &moment);
-            if self.config.depth_source == DepthSource::Dense {
-                let coarse = coarse.is_ok().then(|| self.coarse.last());
-                map_depth(&mut self.believed, self.dense.last(), coarse);
-            }
         }
         completes
     }
@@ -499,18 +512,23 @@ impl Robot {
     pub fn mapped_depth(&self) -> Option<&DepthEstimate> {
         match self.config.depth_source {
             DepthSource::Coarse => self.coarse_depth(),
-            DepthSource::Dense => self.has_depth.dense.then_some(&self.believed),
+            DepthSource::Dense => self.has_depth.dense.then(|| self.believed.last()),
+            DepthSource::Network if self.network_assumes() => {
+                self.has_depth.network.then(|| self.believed.last())
+            }
             DepthSource::Network => self.network_depth(),
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         }
     }
 
-    /// The depth of this tick that can be compared with the LiDAR: dense depth cannot, because it was made with the scan.
+    /// The depth of this tick that can be compared with the LiDAR: dense depth cannot, because it was made with the scan. Of a network it
+    /// is the network's own, without the map's limits.
     #[must_use]
     pub fn compared_depth(&self) -> Option<&DepthEstimate> {
         match self.config.depth_source {
-            DepthSource::Dense => self.coarse_depth(),
-            _ => self.mapped_depth(),
+            DepthSource::Coarse | DepthSource::Dense => self.coarse_depth(),
+            DepthSource::Network => self.network_depth(),
+            DepthSource::Truth => self.mapped_depth(),
         }
     }
 
@@ -533,14 +551,14 @@ impl Robot {
     }
 
     /// The depth of this tick to show to a person: dense depth that is right with a probability of 50 % or more. With a network
-    /// or ground truth in the map, and without dense depth, the depth that the map uses.
+    /// or ground truth in the map, and without dense depth, the depth that the map is made from.
     #[must_use]
     pub fn shown_depth(&self) -> Option<DepthMap> {
         let shows_dense =
             matches!(self.config.depth_source, DepthSource::Coarse | DepthSource::Dense);
         match self.dense_depth().filter(|_| shows_dense) {
             Some(dense) => Some(dense.above(0.5)),
-            None => self.mapped_depth().map(|estimate| estimate.depth.clone()),
+            None => self.compared_depth().map(|estimate| estimate.depth.clone()),
         }
     }
 
@@ -565,18 +583,23 @@ impl Robot {
         }
         let turned_deg = self.watch.camera_turned_rad().to_degrees();
         let trusts_camera = turned_deg <= self.config.map.camera_trust_deg;
+        let assumes = self.network_assumes();
         // The body of `mapped_depth`, repeated so that the borrow checker sees that `self.map` is not borrowed.
         let depth = match self.config.depth_source {
             DepthSource::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
-            DepthSource::Dense => self.has_depth.dense.then_some(&self.believed),
+            DepthSource::Dense => self.has_depth.dense.then(|| self.believed.last()),
+            DepthSource::Network if assumes => self.has_depth.network.then(|| self.believed.last()),
             DepthSource::Network => {
                 self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
             }
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         };
+        // Without coarse depth a frame is sure of nothing. Its map would push out those that can be compared.
+        let is_compared = self.has_depth.coarse || self.has_depth.truth;
         if let Some(depth) = depth.filter(|_| trusts_camera)
             && let Ok(newest) =
                 self.map.integrate_depth(depth, &self.config.camera, &t_map_camera, &self.surfaces)
+            && is_compared
         {
             let gap = self.config.exploration.inconsistency_gap;
             remember_frame_map(&mut self.frame_maps, newest, gap);

@@ -3,6 +3,7 @@
 //! The logs are not part of the project. Their folder is an argument; without it, it is `shared/data/lidar` beside the repository.
 #![forbid(unsafe_code)]
 
+mod drives;
 mod relations;
 mod relocalize;
 mod tour;
@@ -31,6 +32,9 @@ struct Arguments {
     /// Instead of the logs: trials of finding a lost robot, this many in each simulated home.
     #[arg(long, value_name = "TRIALS")]
     relocalize: Option<usize>,
+    /// Instead of the logs: errors and costs of drives with 1,081 beams in simulated homes, the last of them for an hour.
+    #[arg(long, conflicts_with = "relocalize")]
+    drives: bool,
 }
 
 /// A log and what is known about it.
@@ -72,9 +76,12 @@ const COLUMNS: [&str; 9] = [
 ];
 
 fn main() -> Result<()> {
-    let Arguments { logs, out, relocalize } = Arguments::parse();
+    let Arguments { logs, out, relocalize, drives } = Arguments::parse();
     if let Some(trials) = relocalize {
         return find_lost_robots(trials);
+    }
+    if drives {
+        return drive_through_homes();
     }
     if !logs.is_dir() {
         println!("skipped: {} is absent, and the logs are not part of the project", logs.display());
@@ -93,6 +100,21 @@ fn print_table<Row: AsRef<[String]>>(columns: &[&str], rows: &[Row]) {
     for row in rows {
         println!("| {} |", row.as_ref().join(" | "));
     }
+}
+
+/// Home of about 150 m2 in which a robot drives for an hour.
+const HOUR_HOME: &str = "builtin:house?seed=1";
+
+fn drive_through_homes() -> Result<()> {
+    let mut rows = Vec::new();
+    for home in relocalize::HOMES {
+        rows.push(drives::row(home, true)?);
+    }
+    let mut hour = drives::row(HOUR_HOME, false)?;
+    hour[0].push_str(", an hour");
+    rows.push(hour);
+    print_table(&drives::COLUMNS, &rows);
+    Ok(())
 }
 
 const TRIAL_COLUMNS: [&str; 7] = [

@@ -1,0 +1,231 @@
+//! Errors and costs of localization along drives in simulated homes: `localization --drives`.
+//!
+//! A robot with a scanner of 1,081 beams and the wheels of an ordinary base drives a tour of all reachable floor, at 0.2 m/s and 10 Hz. The
+//! simulator's truth only judges.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use hal::{Clock, LaserScan, Lidar, Pose2, wrap_angle};
+use runtime::localization::{LocalizationConfig, Localizer};
+use simulator::odometry::{Odometer, OdometryNoise};
+use simulator::robot::{SimClock, SimLidar};
+use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
+
+use crate::relocalize::quantile;
+use crate::tour;
+
+/// Time between two scans.
+const STEP_NS: u64 = 100_000_000;
+/// Scans between two poses of the tour: 0.02 m, or 1.9 degrees.
+const SCANS_OF_STEP: usize = 3;
+/// Ticks of an hour.
+const HOUR: usize = 36_000;
+/// Distance between the two poses of a pair, metres.
+const PAIR_M: f64 = 0.2;
+
+pub const COLUMNS: [&str; 8] = [
+    "simulated home",
+    "scans",
+    "driven (m)",
+    "0.2 m apart, rms (mm / mrad)",
+    "wheels alone (mm / mrad)",
+    "scan to pose, ms p50 / p99",
+    "closing loops, ms a tick p99 / max",
+    "memory (MiB)",
+];
+
+/// A robot that is put from pose to pose; its wheels report the motion with the errors of an ordinary base.
+struct Rover {
+    robot: SimulatedRobot,
+    lidar: SimLidar,
+    clock: SimClock,
+    odometer: Odometer,
+    truth: Pose2,
+}
+
+impl Rover {
+    fn new(world: &Arc<World>, seed: u64) -> Result<Self> {
+        let robot =
+            SimulatedRobot::new(world.clone(), RobotOptions { seed, ..RobotOptions::default() })?;
+        let devices = robot.devices();
+        Ok(Self {
+            truth: devices.truth.pose(),
+            robot,
+            lidar: devices.lidar,
+            clock: devices.clock,
+            odometer: Odometer::new(OdometryNoise::ORDINARY, seed),
+        })
+    }
+
+    /// The truth at the next scan, which is written into `scan`.
+    fn drive_to(&mut self, truth: Pose2, scan: &mut LaserScan) -> Result<u64> {
+        self.odometer.advance(&self.truth.inverse().compose(&truth));
+        self.truth = truth;
+        self.robot.carry_to(truth);
+        let now_ns = self.clock.now_ns() + STEP_NS;
+        self.clock.sleep_until_ns(now_ns);
+        self.lidar.poll_scan(scan)?;
+        Ok(now_ns)
+    }
+}
+
+/// Where the robot was, where it believed to be, and where its wheels said.
+#[derive(Clone, Copy)]
+struct Step {
+    truth: Pose2,
+    t_odom_base: Pose2,
+    wheel: Pose2,
+}
+
+/// What one drive showed.
+#[derive(Default)]
+struct Drive {
+    steps: Vec<Step>,
+    driven_m: f64,
+    /// Milliseconds of updates that only tracked the scan.
+    tracking_ms: Vec<f64>,
+    /// Milliseconds that other updates took beyond the median of these.
+    closing_ms: Vec<f64>,
+    memory_mib: f64,
+}
+
+/// The row of a drive of one hour, or of one lap if `laps_once`.
+///
+/// # Errors
+/// A home that cannot be opened.
+pub fn row(home: &str, laps_once: bool) -> Result<[String; 8]> {
+    let world = Arc::new(World::open(home, &OpenOptions::default()).context(home.to_owned())?);
+    let drive = drive(&world, laps_once)?;
+    let [metres, radians] = errors(&drive.steps, |step| step.t_odom_base);
+    let [wheel_metres, wheel_radians] = errors(&drive.steps, |step| step.wheel);
+    let ms = |values: &[f64], share| quantile(values, share);
+    Ok([
+        home.to_owned(),
+        drive.steps.len().to_string(),
+        format!("{:.0}", drive.driven_m),
+        format!("{:.1} / {:.1}", 1e3 * metres, 1e3 * radians),
+        format!("{:.1} / {:.1}", 1e3 * wheel_metres, 1e3 * wheel_radians),
+        format!("{:.2} / {:.2}", ms(&drive.tracking_ms, 0.5), ms(&drive.tracking_ms, 0.99)),
+        format!("{:.2} / {:.2}", ms(&drive.closing_ms, 0.99), ms(&drive.closing_ms, 1.0)),
+        format!("{:.1}", drive.memory_mib),
+    ])
+}
+
+fn drive(world: &Arc<World>, laps_once: bool) -> Result<Drive> {
+    let mut rover = Rover::new(world, 1)?;
+    let mount = RobotOptions::default().t_base_laser.translation;
+    let geometry = rover.lidar.geometry();
+    let mut localizer = Localizer::new(
+        &LocalizationConfig::default(),
+        geometry,
+        Pose2::new(mount.x, mount.y, 0.0),
+    )?;
+    let mut scan = LaserScan::empty(geometry);
+    let mut drive = Drive::default();
+    let mut busy_ms = Vec::new();
+    let before_mib = resident_mib();
+    let mut lap = tour::through(world.floor_plan(), rover.truth);
+    while drive.steps.len() < HOUR {
+        for pose in between(&lap) {
+            let now_ns = rover.drive_to(pose, &mut scan)?;
+            let wheel = rover.odometer.pose();
+            let is_closing = localizer.is_closing();
+            let start = Instant::now();
+            let estimate = localizer.update(&wheel, now_ns, Some((&scan, &wheel)));
+            let took_ms = start.elapsed().as_secs_f64() * 1e3;
+            match is_closing || localizer.is_closing() {
+                true => busy_ms.push(took_ms),
+                false => drive.tracking_ms.push(took_ms),
+            }
+            if let Some(last) = drive.steps.last() {
+                drive.driven_m += last.truth.distance_m(&pose);
+            }
+            drive.steps.push(Step { truth: pose, t_odom_base: estimate.t_odom_base, wheel });
+        }
+        if laps_once {
+            break;
+        }
+        // The next lap goes the other way.
+        lap.reverse();
+    }
+    let tracking_ms = quantile(&drive.tracking_ms, 0.5);
+    drive.closing_ms = busy_ms.iter().map(|ms| (ms - tracking_ms).max(0.0)).collect();
+    let steps_mib = (drive.steps.capacity() * size_of::<Step>()) as f64 / f64::from(1 << 20);
+    drive.memory_mib = (resident_mib() - before_mib - steps_mib).max(0.0);
+    Ok(drive)
+}
+
+/// The poses of a tour, with more of them in between.
+fn between(lap: &[Pose2]) -> Vec<Pose2> {
+    let legs = lap.iter().zip(&lap[1..]);
+    let mut poses = lap.first().copied().into_iter().collect::<Vec<_>>();
+    for (from, to) in legs {
+        let motion = from.inverse().compose(to);
+        for part in 1..=SCANS_OF_STEP {
+            let share = part as f64 / SCANS_OF_STEP as f64;
+            let part = [motion.x_m, motion.y_m, wrap_angle(motion.yaw_rad)].map(|of| share * of);
+            poses.push(from.compose(&Pose2::new(part[0], part[1], part[2])));
+        }
+    }
+    poses
+}
+
+/// Root mean square errors of the motion between poses 0.2 m apart: metres and radians.
+fn errors(steps: &[Step], pose: impl Fn(&Step) -> Pose2) -> [f64; 2] {
+    let mut squares = [0.0; 2];
+    let mut count = 0.0_f64;
+    let mut second = 0;
+    for first in steps {
+        while second < steps.len() && steps[second].truth.distance_m(&first.truth) < PAIR_M {
+            second += 1;
+        }
+        let Some(later) = steps.get(second) else { break };
+        let truth = first.truth.inverse().compose(&later.truth);
+        let estimated = pose(first).inverse().compose(&pose(later));
+        let error = truth.inverse().compose(&estimated);
+        squares[0] += error.x_m.powi(2) + error.y_m.powi(2);
+        squares[1] += wrap_angle(error.yaw_rad).powi(2);
+        count += 1.0;
+    }
+    squares.map(|sum| (sum / count.max(1.0)).sqrt())
+}
+
+/// Memory of this process that is in use, MiB.
+fn resident_mib() -> f64 {
+    let statm = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    let pages = statm.split_whitespace().nth(1).and_then(|pages| pages.parse::<f64>().ok());
+    pages.unwrap_or(f64::NAN) * 4096.0 / f64::from(1 << 20)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_are_those_of_the_motion_and_not_of_the_place() {
+        let shift = Pose2::new(3.0, -1.0, 0.7);
+        let steps: Vec<Step> = (0..100)
+            .map(|step| Pose2::new(0.02 * f64::from(step), 0.0, 0.0))
+            .map(|truth| Step {
+                truth,
+                t_odom_base: shift.compose(&truth),
+                wheel: Pose2::new(1.01 * truth.x_m, 0.0, 0.0),
+            })
+            .collect();
+        let [metres, radians] = errors(&steps, |step| step.t_odom_base);
+        assert!(metres < 1e-12 && radians < 1e-12);
+        let [metres, _] = errors(&steps, |step| step.wheel);
+        assert!((metres - 0.002).abs() < 1e-4, "1 % of 0.2 m: {metres}");
+    }
+
+    #[test]
+    fn a_tour_in_small_steps_passes_the_poses_of_the_tour() {
+        let lap = [Pose2::IDENTITY, Pose2::new(0.06, 0.0, 0.0), Pose2::new(0.06, 0.0, 0.1)];
+        let poses = between(&lap);
+        assert_eq!(poses.len(), 7);
+        assert!(poses[3].distance_m(&lap[1]) < 1e-12);
+        assert!((poses[6].yaw_rad - 0.1).abs() < 1e-12);
+    }
+}
