@@ -381,6 +381,19 @@ pub struct CalibrateArgs {
     /// It has no frames. Prints what is found and writes nothing without --out.
     #[arg(long, value_name = "FILE", group = "drive")]
     pub log: Option<PathBuf>,
+    /// Drive the robot of --config first: rotations, stops, straight lines and arcs on 2 x 2 m of free
+    /// floor, through its safety plane, and record it.
+    #[arg(long, group = "drive", requires = "config")]
+    pub drive: bool,
+    /// Seconds that --drive takes. Two minutes show the mounts; the wheels take five and more.
+    #[arg(long, value_name = "S", default_value_t = 120, requires = "drive", value_parser = whole_number(20..=3600))]
+    pub seconds: u64,
+    /// Start --drive without a question.
+    #[arg(long, requires = "drive")]
+    pub yes: bool,
+    /// Folder of the recording of --drive [default: a folder beside --config, named by date and time].
+    #[arg(long, value_name = "DIR", requires = "drive")]
+    pub run_out: Option<PathBuf>,
     /// File to write; its name goes into the robot's configuration as `calibration` [default:
     /// calibration.toml beside --config].
     #[arg(long, value_name = "FILE")]
@@ -685,6 +698,8 @@ pub enum PolicyArg {
     Inconsistency,
     /// Frontier and inconsistency goals alternately.
     Active,
+    /// No exploration: rotations, stops, lines and arcs on 2 x 2 m, for `calibrate`.
+    Calibration,
 }
 
 impl From<PolicyArg> for PolicyKind {
@@ -696,6 +711,7 @@ impl From<PolicyArg> for PolicyKind {
             PolicyArg::Frontier => Self::Frontier,
             PolicyArg::Inconsistency => Self::Inconsistency,
             PolicyArg::Active => Self::Active,
+            PolicyArg::Calibration => Self::Calibration,
         }
     }
 }

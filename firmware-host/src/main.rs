@@ -32,7 +32,9 @@ fn main() -> ExitCode {
         Subcommand::Reproduce(args) => reproduce::run(&args),
         #[cfg(feature = "simulator")]
         Subcommand::Views(args) => views::run(&args).map(|()| ExitCode::SUCCESS),
-        Subcommand::Run(args) => run::run(&args).map(|()| ExitCode::SUCCESS),
+        Subcommand::Run(args) => {
+            run::run(&args, run::Arming::Configured).map(|_| ExitCode::SUCCESS)
+        }
         Subcommand::Health(args) => health::run(&args),
         Subcommand::Identity(args) => identity::run(&args).map(|()| ExitCode::SUCCESS),
         Subcommand::Init(args) => init::run(&args),

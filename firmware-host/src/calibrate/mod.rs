@@ -1,7 +1,8 @@
-//! `firmware-host calibrate`: wheels, mounts and latencies from a recorded drive.
+//! `firmware-host calibrate`: wheels, mounts and latencies from a drive, which it records itself or which was recorded.
 //!
 //! | file | idea |
 //! |---|---|
+//! | `course` | the drive of `--drive` |
 //! | `drive`, `regular_times` | what a recording or a log holds |
 //! | `wheels`, `scan_path` | the path by the wheels, and by matched scans |
 //! | `laser` | wheels and scanner together |
@@ -14,6 +15,7 @@
 mod against;
 mod base_path;
 mod camera;
+mod course;
 mod drive;
 mod file;
 mod finding;
@@ -54,10 +56,13 @@ const ESSENTIAL: [Parameter; 3] = [Parameter::LeftRadius, Parameter::RightRadius
 /// # Errors
 /// A drive that cannot be read or shows too little, or an implausible result. Nothing is written then.
 pub fn run(args: &CalibrateArgs) -> Result<()> {
-    match (&args.recording, &args.log) {
-        (Some(recording), _) => of_recording(recording, args),
-        (None, Some(log)) => of_log(log, args),
-        (None, None) => bail!("give --recording RUN or --log FILE"),
+    match (&args.recording, &args.log, &args.config) {
+        (Some(recording), _, _) => of_recording(recording, args),
+        (None, Some(log), _) => of_log(log, args),
+        (None, None, Some(config)) if args.drive => {
+            of_recording(&course::drive(config, args)?, args)
+        }
+        _ => bail!("give --recording RUN, --log FILE, or --drive with --config FILE"),
     }
 }
 

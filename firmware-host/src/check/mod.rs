@@ -17,7 +17,7 @@ use crate::config::{Config, DEFAULT_FILE};
 use crate::report::fit;
 use crate::run::status::{STALE_S, Status, unix_s};
 use devices::Finding;
-pub use drive::require;
+pub use drive::{confirm, require};
 pub use speed::Speed;
 use view::View;
 

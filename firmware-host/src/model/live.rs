@@ -436,8 +436,7 @@ impl LiveModels {
             .count() as u64;
         // Dense depth is made with the scan, so that it always agrees with it.
         let compared = robot.compared_depth();
-        // The map's limits would hide what the network has lost.
-        let depth = robot.network_depth().or_else(|| robot.mapped_depth());
+        let depth = robot.mapped_depth();
         let line = self.lidar.of_tick(input);
         TrialTick {
             overrun,

@@ -66,11 +66,20 @@ use supervision::Supervision;
 /// The injected random faults of a run without an end are spread over this time, seconds.
 const RANDOM_FAULTS_S: f64 = 600.0;
 
-/// Drives until a signal ends the run, then brakes, releases the motors and reports.
+/// When the robot may drive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Arming {
+    /// When it is armed: by SIGUSR1, or at the start if the configuration says so.
+    Configured,
+    /// At the start, because a person beside the robot has just said so.
+    Confirmed,
+}
+
+/// Drives until a signal ends the run, then brakes, releases the motors and reports. Returns why the run ended.
 ///
 /// # Errors
 /// A configuration, model or folder that cannot be used. An absent device is no error: its driver waits for it.
-pub fn run(args: &RunArgs) -> Result<()> {
+pub fn run(args: &RunArgs, arming: Arming) -> Result<ExploreEnd> {
     let mut config = Config::load(&args.config)?;
     keep_out::close(args.keep_out.as_deref(), args.policy.into(), &mut config)?;
     config.check_devices(&args.config)?;
@@ -135,14 +144,14 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let stop_file = StopFile::open(config.run.stop_file.as_ref());
     let operator = Operator::start(safety.panel.clone(), stop_file)?;
     let mut supervision = Supervision::new(args, out, &config, monitors, &operator);
-    if config.run.arm_at_start {
-        match &operator.last_stop {
-            None => safety.panel.arm(),
-            Some(stop) => tracing::warn!(
-                "the robot does not arm on its own after its last stop ({}): fix the cause, then send SIGUSR1",
-                stop.why
-            ),
-        }
+    match (&operator.last_stop, arming) {
+        (_, Arming::Confirmed) => safety.panel.arm(),
+        (None, Arming::Configured) if config.run.arm_at_start => safety.panel.arm(),
+        (Some(stop), Arming::Configured) if config.run.arm_at_start => tracing::warn!(
+            "the robot does not arm on its own after its last stop ({}): fix the cause, then send SIGUSR1",
+            stop.why
+        ),
+        _ => {}
     }
     tracing::info!("{}", Speed::new(&config).sentence());
     supervision.announce(&safety);
@@ -163,7 +172,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
     // The report comes also if the map cannot be saved.
     let saved = log.map.take().map_or(Ok(()), |mut map| map.save(&robot));
     report(out, &mission, summary, &robot, log, late)?;
-    saved
+    saved?;
+    Ok(end)
 }
 
 /// What other programs give the exploration loop.

@@ -349,6 +349,29 @@ fn check_drive_measures_a_robot_in_a_home_and_leaves_its_motors_idle() {
     assert_eq!(world.home().score().0, 0, "it touched something");
 }
 
+#[test]
+fn calibrate_drive_drives_on_a_small_floor_without_a_touch_and_writes_what_it_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
+    let options = LiveOptions { camera, ..LiveOptions::default() };
+    let world = LiveWorld::start(folder.path(), &options).unwrap();
+    let run = folder.path().join("calibration-drive");
+    let mut calibrate = Command::cargo_bin("firmware-host").unwrap();
+    calibrate.args(["calibrate", "--drive", "--yes", "--seconds", "60", "--run-out"]).arg(&run);
+    let output = calibrate.arg("--config").arg(world.config()).output().unwrap();
+    let said = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    assert!(output.status.success(), "{}", said.concat());
+    assert_eq!(world.home().score().0, 0, "it touched something");
+    let written = std::fs::read_to_string(folder.path().join("calibration.toml")).unwrap();
+    let written: toml::Table = written.parse().unwrap();
+    let track_m = written["devices"]["base"]["track_m"].as_float().unwrap();
+    assert!((0.23..0.25).contains(&track_m), "{written}");
+    let yaw_deg = written["lidar"]["yaw_deg"].as_float().unwrap();
+    assert!(yaw_deg.abs() < 1.0, "{written}");
+    let (is_equal, text) = replayed(&run, &[]);
+    assert!(is_equal, "{text}");
+}
+
 fn number(table: &toml::Table, key: &str) -> f64 {
     table[key].as_float().unwrap()
 }

@@ -1,12 +1,15 @@
-//! Policies that use only the bumper and no map: the paper's baselines.
+//! Policies that use no map: the paper's baselines, and the drive of `calibrate --drive`.
 
 use std::collections::VecDeque;
 
+use hal::Pose2;
 use rand::{RngExt, seq::IndexedRandom};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
 use crate::planning::Primitive;
+
+use super::pattern::Pattern;
 
 /// Rotation steps to the right of `forward` after a collision (released code of the paper,
 /// `ForwardAgent`, whose steps have 2 degrees).
@@ -31,11 +34,13 @@ pub enum BlindPolicy {
         /// Number of rotation steps that are left.
         rotations_left: usize,
     },
+    /// The drive of `calibrate --drive`.
+    Calibration(Pattern),
 }
 
 impl BlindPolicy {
-    /// The next step. `blocked`: the safety plane has just backed off from an obstacle.
-    pub fn next(&mut self, rng: &mut Pcg64Mcg, blocked: bool) -> Primitive {
+    /// The next step of a robot at `pose`. `blocked`: the safety plane has just backed off from an obstacle.
+    pub fn next(&mut self, rng: &mut Pcg64Mcg, pose: &Pose2, blocked: bool) -> Primitive {
         use Primitive::{Forward, TurnLeft, TurnRight};
         match self {
             Self::Random => [Forward, TurnLeft, TurnRight].choose(rng).copied().unwrap_or(Forward),
@@ -60,6 +65,7 @@ impl BlindPolicy {
                 *rotations_left -= 1;
                 TurnRight
             }
+            Self::Calibration(pattern) => pattern.next(pose, blocked),
         }
     }
 }
@@ -71,7 +77,7 @@ mod tests {
 
     fn steps(policy: &mut BlindPolicy, count: usize) -> Vec<Primitive> {
         let mut rng = Pcg64Mcg::seed_from_u64(3);
-        (0..count).map(|_| policy.next(&mut rng, false)).collect()
+        (0..count).map(|_| policy.next(&mut rng, &Pose2::IDENTITY, false)).collect()
     }
 
     #[test]
@@ -96,9 +102,9 @@ mod tests {
     fn forward_turns_ten_degrees_to_the_right_after_a_collision_and_drives_on() {
         let mut policy = BlindPolicy::Forward { rotations_left: 0 };
         let mut rng = Pcg64Mcg::seed_from_u64(1);
-        assert_eq!(policy.next(&mut rng, false), Primitive::Forward);
-        assert_eq!(policy.next(&mut rng, true), Primitive::TurnRight);
-        let rest: Vec<_> = (0..5).map(|_| policy.next(&mut rng, false)).collect();
+        assert_eq!(policy.next(&mut rng, &Pose2::IDENTITY, false), Primitive::Forward);
+        assert_eq!(policy.next(&mut rng, &Pose2::IDENTITY, true), Primitive::TurnRight);
+        let rest: Vec<_> = (0..5).map(|_| policy.next(&mut rng, &Pose2::IDENTITY, false)).collect();
         assert_eq!(rest[..4], [Primitive::TurnRight; 4]);
         assert_eq!(rest[4], Primitive::Forward);
     }

@@ -18,11 +18,14 @@ pub enum PolicyKind {
     Inconsistency,
     /// Alternates between frontiers and inconsistencies: the paper's policy.
     Active,
+    /// Explores nothing: rotates, stops and drives to and fro on 2 x 2 m, for `calibrate`.
+    Calibration,
 }
 
 impl PolicyKind {
     /// Every policy, the one with the weakest expected coverage first.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
+        Self::Calibration,
         Self::Random,
         Self::Heuristic,
         Self::Forward,
@@ -35,7 +38,7 @@ impl PolicyKind {
     #[must_use]
     pub fn plans_paths(self) -> bool {
         match self {
-            Self::Random | Self::Heuristic | Self::Forward => false,
+            Self::Random | Self::Heuristic | Self::Forward | Self::Calibration => false,
             Self::Frontier | Self::Inconsistency | Self::Active => true,
         }
     }
@@ -50,6 +53,7 @@ impl PolicyKind {
             Self::Frontier => "frontier",
             Self::Inconsistency => "inconsistency",
             Self::Active => "active",
+            Self::Calibration => "calibration",
         }
     }
 }

@@ -14,6 +14,7 @@ use super::ending::Ending;
 use super::errand::{Errand, Means, moved_pose};
 use super::goal::Goal;
 use super::navigator::{FRONTIER_RADIUS_M, Navigator};
+use super::pattern::Pattern;
 use crate::event::{DropReason, Event, GoalReason, NoGoalReason};
 use crate::mapping::{CellState, OccupancyGrid, SingleFrameMap};
 use crate::planning::{
@@ -252,7 +253,7 @@ impl Explorer {
     }
 
     fn is_warming_up(&self, senses: &Observations<'_>) -> bool {
-        senses.tick < self.config.warm_up_frames
+        self.kind != PolicyKind::Calibration && senses.tick < self.config.warm_up_frames
     }
 
     /// Drives on blindly to observe more. With closed areas, which it might enter, it only rotates.
@@ -261,7 +262,7 @@ impl Explorer {
             return Primitive::TurnLeft;
         }
         let policy = if self.is_warming_up(senses) { &mut self.warm_up } else { &mut self.blind };
-        policy.next(&mut self.rng, senses.bumped)
+        policy.next(&mut self.rng, &senses.pose, senses.bumped)
     }
 
     fn record_position(&mut self, senses: &Observations<'_>) {
@@ -519,6 +520,7 @@ fn blind_part(kind: PolicyKind) -> BlindPolicy {
     match kind {
         PolicyKind::Random => BlindPolicy::Random,
         PolicyKind::Forward => BlindPolicy::Forward { rotations_left: 0 },
+        PolicyKind::Calibration => BlindPolicy::Calibration(Pattern::default()),
         _ => BlindPolicy::Heuristic { queue: VecDeque::new() },
     }
 }

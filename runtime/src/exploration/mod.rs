@@ -17,6 +17,7 @@
 //! | `ending.rs` | has all floor that can be reached been seen? |
 //! | `errand.rs` | what is the next step towards a place where the robot shall stand? |
 //! | `blind.rs` | what is the next step of a policy without a map? |
+//! | `pattern.rs` | what is the next step of the drive for a calibration? |
 
 mod blacklist;
 mod blind;
@@ -29,6 +30,7 @@ mod errand_tests;
 mod explorer;
 mod goal;
 mod navigator;
+mod pattern;
 mod unseen;
 
 pub use blacklist::Blacklist;

@@ -1,4 +1,4 @@
-//! What a map may believe of dense depth, and of the depth of a network that is given dense depth.
+//! What a map may believe of dense depth.
 //!
 //! Dense depth holds assumptions: floor before what the scanner hit, an upright wall above it, and filled holes. Most of them are right,
 //! and they correct coarse depth on blank walls. But a robot must not drive into what an assumption hides:
@@ -11,6 +11,9 @@
 //!   patterned floor: then the map takes neither of them.
 //!
 //! Where coarse depth is farther than a wall, the more probable of both counts, as `dense.rs` has chosen.
+//!
+//! A network that is given dense depth is limited only where coarse depth has no value. With all of these limits it touched two times instead
+//! of three in the three drives in which it touches, and had 7 % of the cells off by 10 cm instead of 1 % (docs/accuracy.md).
 
 use hal::{CameraModel, Pose3};
 
@@ -48,10 +51,10 @@ impl MapDepth {
         }
     }
 
-    /// Limits `assumed`, the dense depth or the network's depth of a frame, by `coarse`, which is `None` if the frame has no coarse depth.
-    pub fn limit(&mut self, assumed: &DepthEstimate, coarse: Option<&DepthEstimate>) {
+    /// Limits the dense depth of a frame by `coarse`, which is `None` if the frame has no coarse depth.
+    pub fn limit(&mut self, dense: &DepthEstimate, coarse: Option<&DepthEstimate>) {
         let Self { floor_m, estimate } = self;
-        estimate.copy_from(assumed);
+        estimate.copy_from(dense);
         estimate.doubt_unseen(coarse);
         let Some(coarse) = coarse else { return };
         let seen = coarse.depth.values().iter().zip(&coarse.confidence).zip(floor_m);
@@ -104,18 +107,18 @@ mod tests {
         }
     }
 
-    fn believed(assumed: (f32, f32), coarse: Option<(f32, f32)>) -> (f32, f32) {
-        believed_before_floor(assumed, coarse, f32::INFINITY)
+    fn believed(dense: (f32, f32), coarse: Option<(f32, f32)>) -> (f32, f32) {
+        believed_before_floor(dense, coarse, f32::INFINITY)
     }
 
     fn believed_before_floor(
-        assumed: (f32, f32),
+        dense: (f32, f32),
         coarse: Option<(f32, f32)>,
         floor_m: f32,
     ) -> (f32, f32) {
         let mut map = MapDepth { floor_m: vec![floor_m], estimate: pixel(0.0, 0.0) };
         let coarse = coarse.map(|(depth_m, confidence)| pixel(depth_m, confidence));
-        map.limit(&pixel(assumed.0, assumed.1), coarse.as_ref());
+        map.limit(&pixel(dense.0, dense.1), coarse.as_ref());
         (map.last().depth.values()[0], map.last().confidence[0])
     }
 

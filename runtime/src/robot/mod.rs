@@ -136,7 +136,7 @@ pub struct Robot {
     coarse: CoarseDepth,
     dense: DenseDepth,
     network: Option<DepthNetwork>,
-    /// What the map believes of dense depth, and of a network that is given dense depth.
+    /// What the map believes of dense depth, if it uses it.
     believed: MapDepth,
     truth: DepthEstimate,
     has_depth: HasDepth,
@@ -415,6 +415,9 @@ impl Robot {
                 GivenDepth::Dense => self.has_depth.dense.then(|| self.dense.last()),
             };
             let result = network.estimate(frame, t_odom_camera, given).map(|_| ());
+            if network.spec().given == GivenDepth::Dense {
+                network.doubt_unseen(self.has_depth.coarse.then(|| self.coarse.last()));
+            }
             timer.ended(Stage::Network);
             self.has_depth.network = result.is_ok();
             if let Err(why) = result {
@@ -423,26 +426,6 @@ impl Robot {
         } else if let Err(why) = coarse {
             events.push(Event::NoDepth { why });
         }
-        self.limit_assumptions();
-    }
-
-    /// Limits what the map believes of depth that holds assumptions.
-    fn limit_assumptions(&mut self) {
-        let assumed = match self.config.depth_source {
-            DepthSource::Dense => self.has_depth.dense.then(|| self.dense.last()),
-            DepthSource::Network if self.network_assumes() => {
-                self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
-            }
-            _ => None,
-        };
-        if let Some(assumed) = assumed {
-            self.believed.limit(assumed, self.has_depth.coarse.then(|| self.coarse.last()));
-        }
-    }
-
-    /// Whether the network is given dense depth, and so its assumptions.
-    fn network_assumes(&self) -> bool {
-        self.network.as_ref().is_some_and(|network| network.spec().given == GivenDepth::Dense)
     }
 
     /// Completes this frame's coarse depth, or its lack of parallax. Whether there is dense depth.
@@ -458,6 +441,10 @@ impl Robot {
                 section: is_sure.then(|| self.map.section()),
             };
             self.dense.complete(&self.coarse, &moment);
+            if self.config.depth_source == DepthSource::Dense {
+                let coarse = coarse.is_ok().then(|| self.coarse.last());
+                self.believed.limit(self.dense.last(), coarse);
+            }
         }
         completes
     }
@@ -513,22 +500,17 @@ impl Robot {
         match self.config.depth_source {
             DepthSource::Coarse => self.coarse_depth(),
             DepthSource::Dense => self.has_depth.dense.then(|| self.believed.last()),
-            DepthSource::Network if self.network_assumes() => {
-                self.has_depth.network.then(|| self.believed.last())
-            }
             DepthSource::Network => self.network_depth(),
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         }
     }
 
-    /// The depth of this tick that can be compared with the LiDAR: dense depth cannot, because it was made with the scan. Of a network it
-    /// is the network's own, without the map's limits.
+    /// The depth of this tick that can be compared with the LiDAR: dense depth cannot, because it was made with the scan.
     #[must_use]
     pub fn compared_depth(&self) -> Option<&DepthEstimate> {
         match self.config.depth_source {
-            DepthSource::Coarse | DepthSource::Dense => self.coarse_depth(),
-            DepthSource::Network => self.network_depth(),
-            DepthSource::Truth => self.mapped_depth(),
+            DepthSource::Dense => self.coarse_depth(),
+            _ => self.mapped_depth(),
         }
     }
 
@@ -551,14 +533,14 @@ impl Robot {
     }
 
     /// The depth of this tick to show to a person: dense depth that is right with a probability of 50 % or more. With a network
-    /// or ground truth in the map, and without dense depth, the depth that the map is made from.
+    /// or ground truth in the map, and without dense depth, the depth that the map uses.
     #[must_use]
     pub fn shown_depth(&self) -> Option<DepthMap> {
         let shows_dense =
             matches!(self.config.depth_source, DepthSource::Coarse | DepthSource::Dense);
         match self.dense_depth().filter(|_| shows_dense) {
             Some(dense) => Some(dense.above(0.5)),
-            None => self.compared_depth().map(|estimate| estimate.depth.clone()),
+            None => self.mapped_depth().map(|estimate| estimate.depth.clone()),
         }
     }
 
@@ -583,12 +565,10 @@ impl Robot {
         }
         let turned_deg = self.watch.camera_turned_rad().to_degrees();
         let trusts_camera = turned_deg <= self.config.map.camera_trust_deg;
-        let assumes = self.network_assumes();
         // The body of `mapped_depth`, repeated so that the borrow checker sees that `self.map` is not borrowed.
         let depth = match self.config.depth_source {
             DepthSource::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
             DepthSource::Dense => self.has_depth.dense.then(|| self.believed.last()),
-            DepthSource::Network if assumes => self.has_depth.network.then(|| self.believed.last()),
             DepthSource::Network => {
                 self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
             }

@@ -68,7 +68,11 @@ pub fn run(config: &Config, path: &Path, is_confirmed: bool) -> Result<ExitCode>
     Ok(if is_good { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-fn confirm(input: &mut impl BufRead) -> Result<()> {
+/// Reads the answer of the person beside the robot.
+///
+/// # Errors
+/// The answer is not `yes`.
+pub fn confirm(input: &mut impl BufRead) -> Result<()> {
     let mut answer = String::new();
     input.read_line(&mut answer)?;
     if answer.trim() != "yes" {

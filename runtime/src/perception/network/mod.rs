@@ -213,6 +213,12 @@ impl DepthNetwork {
         session.run(|output| planes::read_output(output, spec, estimate))
     }
 
+    /// Limits the confidence of the last estimate where `seen` has no depth. The robot does this for models that are given dense
+    /// depth, with coarse depth as `seen`.
+    pub fn doubt_unseen(&mut self, seen: Option<&DepthEstimate>) {
+        self.estimate.doubt_unseen(seen);
+    }
+
     /// The result of the last [`estimate`](Self::estimate); without any depth if it failed.
     #[must_use]
     pub fn last(&self) -> &DepthEstimate {

@@ -142,6 +142,20 @@ fn coarse_depth_passes_through_a_model_that_copies_it() {
 }
 
 #[test]
+fn depth_that_was_not_seen_keeps_a_confidence_below_what_the_map_takes() {
+    let seen = coarse_with_a_hole();
+    let mut network = load("mean").unwrap();
+    network.estimate(view(&plain([128; 3])), &Pose3::identity(), None).unwrap();
+    assert!(network.last().confidence.iter().all(|confidence| *confidence == 1.0));
+    network.doubt_unseen(Some(&seen));
+    for (confidence, depth) in network.last().confidence.iter().zip(seen.depth.values()) {
+        assert_eq!(*confidence, if *depth > 0.0 { 1.0 } else { 0.75 });
+    }
+    network.doubt_unseen(None);
+    assert!(network.last().confidence.iter().all(|confidence| *confidence == 0.75));
+}
+
+#[test]
 fn coarse_depth_changes_nothing_for_a_model_without_that_input() {
     let mut network = load("mean").unwrap();
     assert_eq!(
