@@ -201,8 +201,7 @@ mod tests {
 
     #[test]
     fn a_robot_that_is_held_goes_on_with_another_place() {
-        let mut pattern = Pattern::default();
-        pattern.start = Some(Pose2::IDENTITY);
+        let mut pattern = Pattern { start: Some(Pose2::IDENTITY), ..Pattern::default() };
         let place_m = [RADIUS_M, 0.0];
         pattern.moves.push_back(Move::DriveTo {
             place_m,
