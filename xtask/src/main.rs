@@ -6,6 +6,7 @@ mod accuracy;
 mod bench;
 mod calibration;
 mod command;
+mod contributing;
 mod coverage;
 mod data_loop;
 mod demo;
