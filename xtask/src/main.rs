@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 mod accuracy;
+mod arrows;
 mod bench;
 mod calibration;
 mod command;
