@@ -3,6 +3,7 @@
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use runtime::exploration::PolicyKind;
@@ -66,9 +67,10 @@ pub enum Command {
     CameraLatency(CameraLatencyArgs),
     /// Measure wheels, mounts and latencies from a recorded drive, and write calibration.toml.
     ///
-    /// Any drive with scans will do; two minutes in which the robot drives straight, in arcs and
-    /// rotates both ways among walls are best. Nothing moves. Exits with 1 and writes nothing if a
-    /// result is implausible or the drive shows too little.
+    /// Any recorded drive with scans can be used. Two minutes between walls are best, in which the robot
+    /// drives straight, drives in arcs, and rotates in both directions. The command itself moves nothing.
+    /// It exits with 1 and writes nothing if a result is implausible, or if the robot moved too little
+    /// for a result.
     Calibrate(CalibrateArgs),
     /// Localize along a recorded log of another robot and write its trajectory.
     ///
@@ -83,16 +85,16 @@ pub enum Command {
     ///
     /// Then the devices are checked as by `check --devices`.
     Init(InitArgs),
-    /// Print where camera and LiDAR are, from a robot description (URDF), as sections of a configuration.
+    /// Read the mounts of camera and LiDAR from a robot description (URDF), and print them as sections of a configuration.
     Mounts(MountsArgs),
     /// Check a configuration file and print every value in effect, or check the connected devices.
     Check(CheckArgs),
     /// List, verify, recover, export, erase and serve recorded runs.
     Buffer(BufferArgs),
-    /// Print the line by which a workstation knows this robot: its public key and its name.
+    /// Print the line by which a workstation recognizes this robot: its public key and its name.
     ///
-    /// The robot makes its key at its first `run`. `embodied-depth prepare --robots FILE` and `buffer
-    /// verify --robots FILE` take a file of such lines.
+    /// The robot makes its key at its first `run`, and signs its recordings with it. `embodied-depth
+    /// prepare --robots FILE` and `buffer verify --robots FILE` read a file with one such line per robot.
     Identity(IdentityArgs),
     /// Print a completion script: `source <(firmware-host completions bash)` completes in this shell.
     Completions {
@@ -123,18 +125,19 @@ pub struct ExploreArgs {
     /// Folder of signed models. The robot uses the current one, and switches to a model that is
     /// installed while it drives.
     ///
-    /// A newly installed model is on trial at first. --model is put into the store as its first
-    /// model if the store never had one.
+    /// A newly installed model is on trial at first: if it fails, the robot goes back to the one
+    /// before. --model is put into the store as its first model if the store never had one.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["dir", "depth"])]
     pub model_store: Option<PathBuf>,
-    /// Which depth goes into the map [default: network if there is a model, else dense].
-    #[arg(long, value_enum)]
-    pub depth: Option<DepthArg>,
-    /// How wrong the wheel odometry is [default: `simulator.odometry` of the configuration,
-    /// realistic].
+    /// Depth that the map is made from [default: network if there is a model; without one dense, or
+    /// coarse if the configuration has dense.enabled = false].
+    #[arg(long, value_parser = depth_source())]
+    pub depth: Option<DepthSource>,
+    /// Errors of the simulated wheel odometry [default: simulator.odometry of the configuration, which
+    /// is realistic by default].
     #[arg(long, value_enum)]
     pub odometry: Option<Odometry>,
-    /// Number of camera frames to explore for. The robot takes one step per frame.
+    /// Number of camera frames after which the run ends. The robot decides once per frame.
     #[arg(long, value_name = "N", default_value_t = 3000, allow_negative_numbers = true, value_parser = whole_number(1..=10_000_000))]
     pub frames: u64,
     /// Seed of all random choices: start pose, policy, noise.
@@ -147,7 +150,8 @@ pub struct ExploreArgs {
     /// Configuration file. `firmware-host check` prints all keys with their defaults.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Start pose in the scene: x and y in metres, heading in degrees [default: chosen from the seed].
+    /// Start pose in the scene: x and y in metres, heading in degrees counter-clockwise from the x axis
+    /// [default: chosen from the seed].
     #[arg(long, value_name = "X,Y,DEG", allow_hyphen_values = true, value_parser = parse_start)]
     pub start: Option<[f64; 3]>,
     /// Map of the home. It is loaded if the file exists, and the file is replaced with the new map when
@@ -157,7 +161,7 @@ pub struct ExploreArgs {
     /// GeoJSON file with polygons that the robot must not enter, in metres of the frame `map`.
     #[arg(long, value_name = "FILE")]
     pub keep_out: Option<PathBuf>,
-    /// Drive to a place in the frame `map` first, X and Y in metres, and stand there.
+    /// Drive to this place in the frame `map` instead of exploring, X and Y in metres, and stand there.
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, value_parser = parse_place)]
     pub go_to: Option<[f64; 2]>,
     /// End the run when all floor that the robot can reach has been seen, and the robot is back at its
@@ -184,7 +188,7 @@ pub struct ExploreArgs {
     /// configuration].
     #[arg(long, value_name = "SOCKET")]
     pub live: Option<PathBuf>,
-    /// Run no faster than the robot would, so that a person can watch it.
+    /// Run in real time instead of as fast as the computer can, so that a person can watch the robot.
     #[arg(long)]
     pub real_time: bool,
     #[command(flatten)]
@@ -198,8 +202,8 @@ pub struct ExploreArgs {
 /// How to interpret the axes and units of a scene file.
 #[derive(Debug, Args, Clone, Copy)]
 pub struct SceneFileArgs {
-    /// Vertical axis of the scene file [default: y for glTF unless its level surfaces clearly
-    /// contradict, and the axis with the larger level surfaces for OBJ].
+    /// Vertical axis of the scene file [default: for glTF y, unless the surfaces in the file are clearly
+    /// horizontal with z up; for OBJ the axis with the larger horizontal surfaces].
     #[arg(long, value_name = "AXIS", value_enum)]
     pub scene_up: Option<UpArg>,
     /// Metres per unit of length in the scene file.
@@ -272,8 +276,8 @@ pub struct RunArgs {
     /// Folder of signed models. The robot uses the current one, and switches to a model that is
     /// installed while it drives [default: models.store of the configuration].
     ///
-    /// A newly installed model is on trial at first. --model is put into the store as its first
-    /// model if the store never had one.
+    /// A newly installed model is on trial at first: if it fails, the robot goes back to the one
+    /// before. --model is put into the store as its first model if the store never had one.
     #[arg(long, value_name = "DIR")]
     pub model_store: Option<PathBuf>,
     /// Stop after this number of camera frames [default: run until SIGTERM or Ctrl-C].
@@ -375,15 +379,15 @@ pub struct PerceiveArgs {
 #[command(group = ArgGroup::new("drive").required(true))]
 pub struct CalibrateArgs {
     /// Recorded run: the --out folder of a run, or one .mcap file.
-    #[arg(long, value_name = "RUN", group = "drive")]
+    #[arg(long, value_name = "RUN", group = "source")]
     pub recording: Option<PathBuf>,
     /// Log of another robot: a CARMEN log or the .dat form of a URG-04LX, compressed by gzip or not.
-    /// It has no frames. Prints what is found and writes nothing without --out.
-    #[arg(long, value_name = "FILE", group = "drive")]
+    /// Such a log has no camera frames. Without --out the result is printed and not written.
+    #[arg(long, value_name = "FILE", group = "source")]
     pub log: Option<PathBuf>,
     /// Drive the robot of --config first: rotations, stops, straight lines and arcs on 2 x 2 m of free
     /// floor, through its safety plane, and record it.
-    #[arg(long, group = "drive", requires = "config")]
+    #[arg(long, group = "source", requires = "config")]
     pub drive: bool,
     /// Seconds that --drive takes. Two minutes show the mounts; the wheels take five and more.
     #[arg(long, value_name = "S", default_value_t = 120, requires = "drive", value_parser = whole_number(20..=3600))]
@@ -394,7 +398,7 @@ pub struct CalibrateArgs {
     /// Folder of the recording of --drive [default: a folder beside --config, named by date and time].
     #[arg(long, value_name = "DIR", requires = "drive")]
     pub run_out: Option<PathBuf>,
-    /// File to write; its name goes into the robot's configuration as `calibration` [default:
+    /// File to write. The robot uses it if the key `calibration` of its configuration names it [default:
     /// calibration.toml beside --config].
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -535,7 +539,7 @@ pub struct InitArgs {
     /// Configuration file to write.
     #[arg(long, value_name = "FILE", default_value = "robot.toml")]
     pub out: PathBuf,
-    /// Replace the file if it exists. Keys in it that are not asked for are kept.
+    /// Replace the file if it exists. Its keys that no question is about are kept.
     #[arg(long)]
     pub force: bool,
     /// Take the answers from this file (TOML, one key for each question) instead of asking.
@@ -544,9 +548,10 @@ pub struct InitArgs {
     /// Print a file of answers that holds every question with its default, and write nothing.
     #[arg(long, conflicts_with_all = ["answers", "force", "turn_wheels"])]
     pub print_answers: bool,
-    /// Turn each wheel a quarter turn, to find order, direction and gear. They must be off the ground.
+    /// Rotate each wheel by 90 degrees, to find which motor drives which wheel, the directions and the
+    /// gear ratio. The wheels must be off the ground.
     ///
-    /// Asks for a `yes` before anything moves.
+    /// The program asks for a `yes` before anything moves.
     #[arg(long)]
     pub turn_wheels: bool,
     /// Use the simulated devices in this folder (`hil world --dir`) instead of those of the computer.
@@ -585,7 +590,7 @@ pub struct CheckArgs {
     pub devices: bool,
     /// Drive a short course on the floor and compare what is measured with what the safety plane
     /// assumes: reaction time, braking distance, roll-out without commands, wheels, and the
-    /// scanner's yaw. Exits with 1 if a measured number is worse.
+    /// scanner's yaw. Exits with 1 if a measured value is worse than the assumed one.
     ///
     /// The robot moves by up to 0.5 m. A person has to stand beside it.
     #[arg(long, requires = "config", conflicts_with = "devices")]
@@ -613,11 +618,11 @@ pub struct BufferArgs {
 /// Subcommands of `buffer`.
 #[derive(Debug, Subcommand)]
 pub enum BufferTask {
-    /// List all segments with their sizes, times, ticks, states and markers. Reads only the ends of the files.
+    /// List all segments with their sizes, times, ticks, states and markers (keep, pulled). Reads only the ends of the files.
     List {
         /// A directory of runs, or the --out directory of one run.
         dir: PathBuf,
-        /// Print JSON.
+        /// Print a JSON array with one object per segment, instead of a table.
         #[arg(long)]
         json: bool,
     },
@@ -626,8 +631,8 @@ pub enum BufferTask {
     Verify {
         /// A directory of runs, the --out directory of one run, or one segment.
         path: PathBuf,
-        /// Known robots, one per line as `firmware-host identity` prints it. A segment that none of them has signed counts as
-        /// one that is not whole.
+        /// File of known robots, one per line as `firmware-host identity` prints it. A segment that none of them has signed
+        /// does not pass: the command then exits with 1.
         #[arg(long, value_name = "FILE")]
         robots: Option<PathBuf>,
     },
@@ -654,7 +659,7 @@ pub enum BufferTask {
     Erase {
         /// The --out directory of one run.
         dir: PathBuf,
-        /// Erase. Without it, only the receipt is printed and the exit code is 1.
+        /// Erase the run. Without this option, only the receipt is printed and the exit code is 1.
         #[arg(long)]
         yes: bool,
     },
@@ -716,29 +721,12 @@ impl From<PolicyArg> for PolicyKind {
     }
 }
 
-/// The values of `--depth`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum DepthArg {
-    /// Coarse depth, from matching frames over the known motion of the robot.
-    Coarse,
-    /// Dense depth, as far as a map may believe it: the most probable of coarse depth, what was seen
-    /// before, and what the scan promises.
-    Dense,
-    /// The output of the depth network.
-    Network,
-    /// Ground truth of the simulator. Tests mapping and planning only; no real robot has it.
-    Truth,
-}
-
-impl From<DepthArg> for DepthSource {
-    fn from(depth: DepthArg) -> Self {
-        match depth {
-            DepthArg::Coarse => Self::Coarse,
-            DepthArg::Dense => Self::Dense,
-            DepthArg::Network => Self::Network,
-            DepthArg::Truth => Self::Truth,
-        }
-    }
+/// A parser of the values of `--depth`: all depth sources that a robot has.
+fn depth_source() -> impl TypedValueParser<Value = DepthSource> {
+    let values =
+        DepthSource::ALL.map(|source| PossibleValue::new(source.name()).help(source.description()));
+    PossibleValuesParser::new(values)
+        .try_map(|name| DepthSource::from_name(&name).ok_or("no depth source has this name"))
 }
 
 /// The values of `--scene-up`.
@@ -841,6 +829,32 @@ mod tests {
             .unwrap_err()
             .to_string();
         assert!(error.contains("--dataset") && error.contains("--recording"), "{error}");
+    }
+
+    #[cfg(feature = "simulator")]
+    #[test]
+    fn every_depth_source_is_a_value_of_depth_and_the_help_describes_it() {
+        use clap::CommandFactory;
+        let help = Cli::command()
+            .find_subcommand_mut("explore")
+            .unwrap()
+            .render_long_help()
+            .to_string()
+            .split_whitespace()
+            .collect::<Vec<_>>()
+            .join(" ");
+        for source in DepthSource::ALL {
+            let line =
+                ["firmware-host", "explore", "--scene=s", "--out=o", "--depth", source.name()];
+            let Command::Explore(args) = Cli::try_parse_from(line).unwrap().command else {
+                panic!("not explore");
+            };
+            assert_eq!(args.depth, Some(source));
+            assert!(help.contains(source.description()), "{}: {help}", source.name());
+        }
+        let line = ["firmware-host", "explore", "--scene=s", "--out=o", "--depth", "lidar"];
+        let error = Cli::try_parse_from(line).unwrap_err().to_string();
+        assert!(error.contains("coarse, dense, network, truth"), "{error}");
     }
 
     #[test]

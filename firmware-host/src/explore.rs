@@ -60,8 +60,7 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
             .map(|path| setup::load_network(path, &config.camera.model(), &config))
             .transpose()?,
     };
-    let asked = args.depth.map(Into::into);
-    let depth_source = setup::depth_source(asked, network.is_some(), &config.dense)?;
+    let depth_source = setup::depth_source(args.depth, network.is_some(), &config.dense)?;
     let mission = Mission { policy: args.policy.into(), depth_source, seed: args.seed };
     let model = network.as_ref().map(|network| network.digest().to_owned());
     let world = simulation::open(&args.scene, &args.scene_file, &config)?;

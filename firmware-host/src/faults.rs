@@ -13,7 +13,8 @@ pub struct FaultArgs {
     /// Inject a fault: DEVICE:KIND[=AMOUNT][@FROM..TO], times in seconds since the start, such as
     /// lidar:stall@4..6 or camera:drop=0.1. May be repeated.
     ///
-    /// The value `random` injects a random schedule of faults that a robot must survive.
+    /// The value `random` injects a random schedule of faults that a robot must survive. A value that is not
+    /// a fault, such as `--fault list`, is answered with all devices and kinds.
     #[arg(long = "fault", value_name = "FAULT")]
     pub texts: Vec<FaultText>,
     /// Seed of all random choices in faults.

@@ -220,7 +220,9 @@ fn handed_over(
             bail!("the run was handed no networks; leave out --hand-over {}", dir.display())
         }
         (Some(_), None) => {
-            bail!("the run was handed networks on its way; give their folder with --hand-over DIR")
+            bail!(
+                "the run received networks while it drove; give their folder with --hand-over DIR"
+            )
         }
         (Some(schedule), Some(dir)) => (schedule, dir),
     };
@@ -241,8 +243,7 @@ fn policy(name: &str) -> Result<PolicyKind> {
 }
 
 fn depth_source(name: &str) -> Result<DepthSource> {
-    let known = DepthSource::ALL.into_iter().find(|source| source.name() == name);
-    known.with_context(|| {
+    DepthSource::from_name(name).with_context(|| {
         format!("the recording's depth source `{name}` is not known to this version")
     })
 }

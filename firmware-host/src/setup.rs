@@ -113,7 +113,7 @@ pub fn handed_over_model(dir: &Path, round: u64) -> PathBuf {
 /// Loads ONNX Runtime and a depth network.
 ///
 /// # Errors
-/// A missing file or library, or a model that is not what it says; each names the way out.
+/// A missing file or library, or a model that is not what it says; each says what to do.
 pub fn load_network(path: &Path, camera: &CameraModel, config: &Config) -> Result<DepthNetwork> {
     let model =
         std::fs::read(path).with_context(|| format!("cannot read the model {}", path.display()))?;

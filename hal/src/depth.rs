@@ -1,4 +1,4 @@
-//! Depth images.
+//! The type of depth images, which cameras with depth and depth estimators share.
 
 use alloc::{vec, vec::Vec};
 

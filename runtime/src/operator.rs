@@ -1,5 +1,5 @@
 //! An operator's order as it is recorded. What it does is elsewhere: a [`Task`](crate::task::Task) is an input of the tick too,
-//! and orders to the safety plane reach it on their own way.
+//! and orders to the safety plane reach it through the control panel.
 
 use serde::{Deserialize, Serialize};
 

@@ -71,7 +71,7 @@ enum Event {
     Restart,
     /// A person inspects the robot and arms it.
     Person,
-    /// Time passes.
+    /// Time passes without another event.
     Wait,
 }
 

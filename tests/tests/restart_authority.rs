@@ -53,7 +53,7 @@ fn stands_until_a_person_arms_it(robot: &mut Composition, what: &str) {
 /// The wheels of released motors lose their speed of 0.2 m/s. The robot rolls as far as that takes it, and no wheel is driven.
 fn coasts_to_a_stop(robot: &mut Composition, what: &str) {
     let before = robot.pose();
-    // After six time constants, 0.2 mm are left of the way.
+    // After six time constants, 0.2 mm are left of the distance.
     for _ in 0..(6.0 * COAST_S / 0.01) as usize {
         robot.step(None);
         assert!(!robot.is_driven(), "{what}: driven in {:?}", robot.state());

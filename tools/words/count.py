@@ -1,7 +1,7 @@
-"""Counts private words and dense constructs in the Rust code of commits: count.py COMMIT...
+"""Counts private words and dense constructs in the Rust code and the documents of commits: count.py COMMIT...
 
-Prints a table in Markdown with one column per commit. docs/results/words.md says what the numbers are for. Occurrences
-are counted in the whole text of every .rs file, also in comments and string literals.
+Prints a table in Markdown with one column per commit. docs/results/words.md says what the numbers are for. Words are
+counted in the whole text of every .rs file, also in comments and string literals, and in every .md file but words.md.
 """
 
 import argparse
@@ -11,22 +11,43 @@ import subprocess
 import tarfile
 from collections.abc import Iterator
 
-# Words that had private meanings (a tick, an image, an observation), and one in place of an actor. Plurals count too.
-WORDS = {"`turn(s)`": "turns?", "`picture(s)`": "pictures?", "`look(s)`": "looks?", "`nobody`": "nobody"}
+# Words that had private meanings, and those in place of an actor or of a reason. `looks` and so on count too.
+WORDS = {
+    "`turn`": "turn(?:s|ed|ing)?",
+    "`room`": "rooms?",
+    "`look`": "look(?:s|ed|ing)?",
+    "`picture`": "pictures?",
+    "`wish`": "wish(?:es|ed)?",
+    "`way`": "ways?",
+    "`told`, `hears`": "told|hears?|heard",
+    "`so many`": r"so\s+many",
+    "`nobody`": "nobody",
+    "`somebody`": "somebody",
+    "`by itself`": r"by\s+itself",
+}
+# Functions with the name of too many jobs.
+LOOK_FUNCTION = re.compile(r"\bfn look\w*")
 
 # `(a, b) = (`, with or without `let` and a type. The values are read by `is_tuple_statement`.
 TUPLE_ASSIGNMENT = re.compile(r"^[ \t]*(?:let )?\([^()=;{}]*,[^()=;{}]*\)(?:: [^=;]*)? =\s*(?=\()", re.MULTILINE)
+# Also with a type, and with the closure on the next line, where rustfmt puts it if it is long: a search for `let name = |`
+# in single lines finds half of them only.
 NAMED_CLOSURE = re.compile(r"\blet (?:mut )?\w+(?:: [^=;]*)? =\s*(?:move )?\|")
 DOC_LINE = re.compile(r"^[ \t]*//[/!](?!/)(.*)$")
 
 
-def rust_files(commit: str) -> Iterator[str]:
-    """The texts of all Rust files of a commit."""
+# It lists the words.
+NOT_COUNTED = "docs/results/words.md"
+
+
+def texts(commit: str, suffix: str) -> Iterator[str]:
+    """The texts of all files of a commit whose names end in this suffix."""
     command = ["git", "archive", "--format=tar", commit]
     archive = subprocess.run(command, check=True, capture_output=True).stdout
     with tarfile.open(fileobj=io.BytesIO(archive)) as files:
         for member in files:
-            file = files.extractfile(member) if member.name.endswith(".rs") else None
+            is_counted = member.name.endswith(suffix) and member.name != NOT_COUNTED
+            file = files.extractfile(member) if is_counted else None
             if file is not None:
                 yield file.read().decode()
 
@@ -56,27 +77,28 @@ def doc_blocks(text: str) -> Iterator[str]:
             block = []
 
 
+def times(pattern: str, all_texts: list[str]) -> int:
+    """How often a pattern of whole words occurs, in any case."""
+    word = re.compile(rf"\b(?:{pattern})\b", re.IGNORECASE)
+    return sum(len(word.findall(text)) for text in all_texts)
+
+
 def count(commit: str) -> dict[str, str]:
     """Every measure of one commit, as the table shows it."""
-    lines, tuples, closures = 0, 0, 0
-    one_word, two_words = 0, 0
-    words = dict.fromkeys(WORDS, 0)
-    for text in rust_files(commit):
-        lines += text.count("\n")
-        tuples += sum(is_tuple_statement(text, found.end()) for found in TUPLE_ASSIGNMENT.finditer(text))
-        closures += len(NAMED_CLOSURE.findall(text))
-        lengths = [len(block.split()) for block in doc_blocks(text)]
-        one_word += lengths.count(1)
-        two_words += lengths.count(2)
-        for word, pattern in WORDS.items():
-            words[word] += len(re.findall(rf"\b{pattern}\b", text, re.IGNORECASE))
+    rust = list(texts(commit, ".rs"))
+    documents = list(texts(commit, ".md"))
+    lines = sum(text.count("\n") for text in rust)
+    tuples = sum(is_tuple_statement(text, found.end()) for text in rust for found in TUPLE_ASSIGNMENT.finditer(text))
+    closures = sum(len(NAMED_CLOSURE.findall(text)) for text in rust)
+    lengths = [len(block.split()) for text in rust for block in doc_blocks(text)]
     return {
-        "lines of Rust": f"{lines:,}",
-        "tuple assignments per 1,000 lines": f"{1000 * tuples / lines:.2f}",
-        "closures with a name per 1,000 lines": f"{1000 * closures / lines:.2f}",
-        "documentation of one word": f"{one_word}",
-        "documentation of one or two words": f"{one_word + two_words}",
-        **{word: f"{times:,}" for word, times in words.items()},
+        "lines of Rust / of documents": f"{lines:,} / {sum(text.count(chr(10)) for text in documents):,}",
+        "tuple assignments (per 1,000 lines)": f"{tuples} ({1000 * tuples / lines:.2f})",
+        "closures with a name (per 1,000 lines)": f"{closures} ({1000 * closures / lines:.2f})",
+        "documentation of one word": f"{lengths.count(1)}",
+        "documentation of one or two words": f"{lengths.count(1) + lengths.count(2)}",
+        "functions `look...`": f"{sum(len(LOOK_FUNCTION.findall(text)) for text in rust)}",
+        **{word: f"{times(pattern, rust):,} / {times(pattern, documents):,}" for word, pattern in WORDS.items()},
     }
 
 

@@ -3,9 +3,11 @@
 #![forbid(unsafe_code)]
 
 mod accuracy;
+mod arrows;
 mod bench;
 mod calibration;
 mod command;
+mod contributing;
 mod coverage;
 mod data_loop;
 mod demo;

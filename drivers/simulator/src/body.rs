@@ -10,7 +10,7 @@ pub struct Capsule {
     /// The other end of the axis.
     pub to: Vector3<f64>,
     pub radius_m: f64,
-    /// Linear light.
+    /// Colour in linear light, RGB.
     pub color: [f32; 3],
 }
 

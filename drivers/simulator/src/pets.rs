@@ -14,7 +14,7 @@ use crate::path::Path;
 pub struct Pet {
     /// Point of the floor below the middle of the trunk, world frame, metres.
     pub position_m: [f64; 2],
-    /// Heading, radians.
+    /// Direction in which it faces, world frame, radians.
     pub yaw_rad: f64,
     /// Phase of the gait, radians; 0 means that all legs are vertical.
     pub stride_rad: f64,
@@ -22,7 +22,7 @@ pub struct Pet {
     pub lying: f64,
     /// Height of the shoulders above the floor while it stands, metres.
     pub shoulder_m: f64,
-    /// Linear-light colour.
+    /// Colour of its fur in linear light, RGB.
     pub fur: [f32; 3],
 }
 

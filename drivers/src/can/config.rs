@@ -13,9 +13,9 @@ use super::protocol::vesc::{Vesc, VescNode};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Protocol {
-    /// ODrive CANSimple.
+    /// ODrive controllers, with the protocol CANSimple.
     Odrive,
-    /// VESC.
+    /// VESC controllers, with extended CAN frames.
     Vesc,
     /// CANopen drives, CiA 402.
     Cia402,

@@ -9,7 +9,7 @@ use super::frame::{CanFrame, CanId};
 pub struct Sender {
     /// The protocol that it speaks.
     pub protocol: Protocol,
-    /// Its node.
+    /// Number of its node on the bus.
     pub node: u8,
 }
 

@@ -15,7 +15,7 @@ const REVOLUTIONS: usize = 4;
 pub enum RevolutionTime {
     /// It is whole, and ended at this time or earlier.
     Whole {
-        /// Monotonic nanoseconds.
+        /// Latest time at which it can have ended, on the monotonic clock.
         end_ns: u64,
     },
     /// The scanner was switched on within it, or data was lost.

@@ -40,7 +40,7 @@ impl Place {
     }
 }
 
-/// The driver of one scanner. Dropping it stops the motor where the scanner can be told to.
+/// The driver of one scanner. Dropping it stops the motor if the scanner has a command for that.
 ///
 /// A reader thread owns the scanner. It opens the port by its path, with a back-off of 50 ms to 1 s
 /// between attempts, collects whole revolutions, and publishes scans once enough of them in a row

@@ -2,7 +2,7 @@
 
 use hal::Range;
 
-/// One measurement.
+/// One distance that the scanner measured, with its direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Direction clockwise, seen from above an upright scanner, from the scanner's zero, radians from 0 to 2 pi.

@@ -25,8 +25,8 @@ impl<E> From<E> for End<E> {
     }
 }
 
-/// Runs sessions until the driver is dropped. A session is told whether an earlier one had good
-/// scans.
+/// Runs sessions until the driver is dropped. `session` receives whether an earlier
+/// one had good scans.
 pub(crate) fn keep_trying<E: hal::Error>(
     shared: &Shared,
     stop: &Stop,

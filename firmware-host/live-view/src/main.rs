@@ -32,7 +32,7 @@ struct Args {
     /// Unix socket of the robot: live.socket of its configuration, or --live of `run` and `explore`.
     #[arg(long, value_name = "SOCKET", default_value = "/run/embodied-depth/live.sock")]
     robot: PathBuf,
-    /// Address and port of the page and of Foxglove's WebSocket. Port 0 is any free one.
+    /// Address and port of the page and of Foxglove's WebSocket. Port 0 chooses any free port.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8765")]
     listen: SocketAddr,
     /// File of tokens, one a line: NAME watch|steer TOKEN. Every client then needs one of them. An
@@ -40,7 +40,7 @@ struct Args {
     #[arg(long, value_name = "FILE")]
     tokens: Option<PathBuf>,
     /// Certificate chain in PEM: page and WebSocket then use TLS. An address that other computers can
-    /// reach needs it, or ssh, or --no-tls.
+    /// reach needs it, unless --no-tls is given.
     #[arg(long, value_name = "FILE", requires = "tls_key")]
     tls_certificate: Option<PathBuf>,
     /// Key of the certificate in PEM, readable by its owner only.
@@ -53,7 +53,7 @@ struct Args {
     /// Also accept pages of this origin without a token, such as https://app.foxglove.dev.
     #[arg(long, value_name = "ORIGIN")]
     allow_origin: Vec<String>,
-    /// Write a layout for Foxglove to this file. Import it there by Layouts, Import from file.
+    /// Write a layout for Foxglove to this file. In Foxglove, `Layouts`, `Import from file` reads it.
     #[arg(long, value_name = "FILE")]
     layout: Option<PathBuf>,
 }

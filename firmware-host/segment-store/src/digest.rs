@@ -1,4 +1,4 @@
-//! BLAKE3 digests.
+//! BLAKE3 digests of files and of streams, as bytes and as text.
 
 use std::fmt;
 use std::io::{self, Read};

@@ -135,7 +135,7 @@ impl StoreError {
     }
 }
 
-/// The way out for a file or directory of a store that cannot be read.
+/// What to do about a file or directory of a store that cannot be read.
 fn how_to_read(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::PermissionDenied => {

@@ -41,7 +41,7 @@ pub struct Nature {
     pub effect: &'static str,
 }
 
-const ROTATE: &str = "rotate by several full turns, both ways";
+const ROTATE: &str = "rotate by several full revolutions, in both directions";
 const STRAIGHT: &str = "drive straight for several metres";
 const STOP_AND_GO: &str = "start and stop rotations often";
 

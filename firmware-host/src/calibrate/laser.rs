@@ -327,7 +327,7 @@ pub(super) fn quiet(path: &[ScanPose], parameters: &LaserParameters) -> WheelPat
     quiet.reported_with(wheels.scale)
 }
 
-/// Cuts the path into spans of at least this way, metres or radians.
+/// Cuts the path into spans of at least this length, metres or radians.
 fn cut(
     wheels: &WheelPath,
     path: &[ScanPose],

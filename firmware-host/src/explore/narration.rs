@@ -9,8 +9,8 @@ const PAUSE_S: f64 = 1.0;
 /// A line about something rare, such as a stop, waits only this long, seconds.
 const SHORT_PAUSE_S: f64 = 0.2;
 
-/// Chooses what is told. A run in virtual time is faster than a reader, so that it leaves out frontiers when they come too fast,
-/// and rarely anything else.
+/// Chooses the events that are printed. A run in virtual time is faster than a reader, so frontiers that come too fast are left out;
+/// other events rarely are.
 #[derive(Debug, Default)]
 pub(super) struct Narrator {
     /// Time of the run's first tick.
@@ -22,7 +22,7 @@ pub(super) struct Narrator {
 }
 
 impl Narrator {
-    /// What happened in this tick as one line with the run's time, if it is to be told at this wall time.
+    /// What happened in this tick as one line with the run's time, if it is to be printed at this wall time.
     pub fn line(&mut self, decision: &Decision, wall_s: f64) -> Option<String> {
         let began_ns = *self.began_ns.get_or_insert(decision.time_ns);
         let mut parts = Vec::new();
@@ -41,7 +41,7 @@ impl Narrator {
         Some(format!("{:3}:{:02}  {}", run_s / 60, run_s % 60, parts.join("; ")))
     }
 
-    /// What is told about an event; `None` for one that is not worth a line.
+    /// The text for an event; `None` for one that is not worth a line.
     fn part(&mut self, event: &Event, decision: &Decision) -> Option<String> {
         match event {
             Event::GoalChosen { why, .. } => {

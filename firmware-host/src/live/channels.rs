@@ -71,7 +71,7 @@ impl Topic {
         }
     }
 
-    /// What clients are told of the channel.
+    /// The description of the channel that clients receive.
     pub fn channel(self) -> Channel {
         let schema = match self {
             Self::Now => return self.json("robot.Now", NOW),

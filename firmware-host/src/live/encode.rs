@@ -124,7 +124,7 @@ impl Encoder {
             self.put(Topic::KeepOut, &keep_out_scene::scene(areas_m, time_ns));
         }
         if self.hub.is_fresh(Topic::Events) {
-            // A client that subscribes while depth is missing is told so, too.
+            // A client that subscribes while depth is missing also receives the event that says so.
             self.events = EventLog::default();
         }
         for message in self.events.messages(&copy.events, time_ns) {
@@ -293,7 +293,7 @@ mod tests {
         drop(client);
         encoder.copy(&copy);
         encoder.copy(&copy);
-        // The first client is told again when the second one comes.
+        // The first client receives the event again when the second one comes.
         drop(encoder);
         assert_eq!([&first, &second].map(number_of_events), [2, 1]);
     }

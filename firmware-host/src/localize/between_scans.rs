@@ -1,13 +1,13 @@
 //! Poses of the lines between two scans, once the poses of both scans are known.
 //!
 //! As a log is read, the pose between scans follows the wheels from the last scan. Afterwards the next scan's pose is known
-//! too: what the wheels got wrong between the two is shared out in proportion to the way.
+//! too: what the wheels got wrong between the two is shared out in proportion to the path.
 
 use hal::Pose2;
 
 use super::log::{Line, Log};
 
-/// Metres of way that a radian of rotation counts as: half the track of a small robot is less, but rotation is where wheels are
+/// Metres of path that a radian of rotation counts as: half the track of a small robot is less, but rotation is where wheels are
 /// most often wrong.
 const METRES_PER_RADIAN: f64 = 0.5;
 

@@ -39,7 +39,7 @@ pub enum ModelCommand {
     /// Compare a signed model with the current one and, if it is at least as good, make it the
     /// current one, on trial. Exits with 1 if the model is refused.
     Install(InstallArgs),
-    /// List the installed models and the history of all models that were ever offered.
+    /// List the installed models, and the history of installed, refused and rolled-back models.
     List,
     /// Check the signature of a model without running the model. Exits with 1 if it is not valid.
     Verify(VerifyArgs),
@@ -77,7 +77,7 @@ pub struct InstallArgs {
     /// installed.
     #[arg(long)]
     pub unproven: bool,
-    /// Examine a model again that was rolled back before.
+    /// Examine the model even if it was installed before and rolled back.
     #[arg(long)]
     pub again: bool,
     /// Examine at normal instead of idle priority. This is faster, but takes processor time from a

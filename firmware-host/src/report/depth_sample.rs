@@ -53,13 +53,9 @@ pub struct SampledDepth {
 /// The depths of one frame at full size.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct FrameDepths<'a> {
-    /// Coarse depth.
     pub coarse: Option<&'a DepthEstimate>,
-    /// Dense depth.
     pub dense: Option<&'a DepthEstimate>,
-    /// The network's depth.
     pub network: Option<&'a DepthEstimate>,
-    /// Ground truth.
     pub truth: Option<&'a DepthMap>,
 }
 

@@ -9,7 +9,7 @@ use super::map_image::Cells;
 pub struct KnownCells {
     /// Number of columns.
     pub width: usize,
-    /// Row-major.
+    /// States of the cells, in row-major order.
     pub cells: Vec<CellState>,
     /// Side of a cell, metres.
     pub resolution_m: f64,

@@ -51,7 +51,7 @@ impl Progress {
         Self { total, started: Instant::now(), bar, tenths_shown: 0 }
     }
 
-    /// Shows nothing.
+    /// A progress that shows nothing, for `--quiet`.
     #[must_use]
     pub fn hidden() -> Self {
         // All tenths count as shown.

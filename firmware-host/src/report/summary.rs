@@ -32,7 +32,7 @@ pub struct Summary {
     /// Seed of all random choices.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
-    /// Exploration policy.
+    /// Name of the exploration policy.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub policy: Option<String>,
     /// Scene that was explored.
@@ -171,7 +171,7 @@ fn nearest_rank(sorted: &[f64], share: f64) -> Option<f64> {
 /// Time from the exposure of a frame to its stamp, in addition to `devices.camera.latency_ms`, found while driving.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CameraLatency {
-    /// Milliseconds.
+    /// The time that was found, milliseconds.
     pub found_ms: f64,
     /// Standard deviation of `found_ms`.
     pub error_ms: f64,

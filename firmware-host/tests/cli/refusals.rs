@@ -1,4 +1,4 @@
-//! What a command refuses: it names the thing and the way out, and leaves nothing behind.
+//! What a command refuses: it names the thing, says what to do, and leaves nothing behind.
 
 use super::*;
 

@@ -28,7 +28,7 @@ use change_test::{Begin, ChangeTest, Found, Limits};
 pub use change_test::Manner;
 pub(crate) use sums::Sums;
 
-/// A block of the drive ends after this way at the rim of a wheel, metres. It must not be used up by rotations, which say nothing of
+/// A block of the drive ends when the rim of a wheel has travelled this distance, metres. It must not be used up by rotations, which say nothing of
 /// yaw per metre or of the scanner's yaw.
 const BLOCK_M: f64 = 0.5;
 /// What a wheel's rim rolls when the robot rotates by one radian, metres: half of the default robot's track.

@@ -95,7 +95,7 @@ impl Navigator {
     /// [`survey`](Self::survey).
     ///
     /// The follower keeps its path while that one is passable and nearly as good as the best. Two
-    /// ways of nearly the same cost would otherwise take turns being the best, as the map changes, and the
+    /// ways of nearly the same cost would otherwise alternate in being the best, as the map changes, and the
     /// robot would rotate from one to the other without driving either.
     ///
     /// # Errors

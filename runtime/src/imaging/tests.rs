@@ -27,7 +27,7 @@ fn rgb(front: &mut FrontEnd, frame: ImageView<'_>) -> Vec<u8> {
     out
 }
 
-/// Reproducible noise.
+/// Noise that is the same in every run of the test.
 fn noise(bytes: usize) -> Vec<u8> {
     (0..bytes as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect()
 }

@@ -1,4 +1,4 @@
-//! How uncertain the pose of one submap is in the frame of another: along the best known way between them.
+//! How uncertain the pose of one submap is in the frame of another: along the best known path between them.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::pose_graph::{Edge, PoseGraph};
 
-/// Metres that a radian counts as when ways are compared.
+/// Metres that a radian counts as when paths are compared.
 const METRES_PER_RADIAN: f64 = 5.0;
 
 /// A submap that has been reached.
@@ -39,7 +39,7 @@ impl PartialEq for Reached {
 
 impl Eq for Reached {}
 
-/// Finds ways of least uncertainty (Dijkstra). It keeps its memory; every search overwrites it.
+/// Finds paths of least uncertainty (Dijkstra). It keeps its memory; every search overwrites it.
 #[derive(Default)]
 pub(crate) struct Drift {
     covariances: Vec<Option<Matrix3<f64>>>,

@@ -96,7 +96,7 @@ impl PoseGraph {
         self.closures.push(closure);
     }
 
-    /// One step downhill, in about so many operations. Returns the largest change of a coordinate, in metres or radians.
+    /// One step of the optimization, in about this number of operations. Returns the largest change of a coordinate, in metres or radians.
     pub(crate) fn step(&mut self, operations: u64) -> f64 {
         let iterations = operations / self.iteration_operations().max(1);
         self.linearize();

@@ -110,7 +110,7 @@ impl WheelModel {
         let (distance_m, yaw_rad) = (reported.x.abs(), reported.y.abs());
         let forward = self.distance_noise * distance_m;
         let unlearnt = (reported.transpose() * self.yaw_covariance * reported)[0];
-        // Noise per metre and per radian adds up like that of independent pieces: with the square root of the way.
+        // Noise per metre and per radian adds up like that of independent pieces: with the square root of the distance.
         let yaw = self.drift_noise * self.drift_noise * distance_m * distance_m.max(0.05)
             + self.yaw_noise * self.yaw_noise * yaw_rad * yaw_rad.max(0.05)
             + unlearnt;

@@ -350,7 +350,7 @@ pub fn judge(
 
 /// Frames with near coarse depth from which on a range is judged.
 const LEAST_NEAR_FRAMES: usize = 5;
-/// Frames of one place from which on it counts by itself.
+/// A place with at least this number of frames counts as a place of its own.
 const LEAST_PLACE_FRAMES: usize = 3;
 
 fn near_evidence(frames: &[ScoredFrame], what: NearRange) -> NearEvidence {

@@ -89,7 +89,7 @@ hal::settings! {
         joint_weights: [f32; 5] = [-0.82, 0.83, 0.45, 0.07, 0.86], in -100.0..=100.0,
             source "cargo xtask accuracy --fit-dense";
         /// Logistic model of the probability that a filled depth is correct: weights of a constant, the logarithm of the cost of
-        /// the way from the nearest known cell, and the spread of the values from all sides.
+        /// the path from the nearest known cell, and the spread of the values from all sides.
         fill_weights: [f32; 3] = [2.27, -0.78, -4.63], in -100.0..=100.0, source "cargo xtask accuracy --fit-dense";
         /// Whether the safety LiDAR's scan is used, too: in front of what it hit there is floor, and a wall stands above it.
         walls: bool = true;

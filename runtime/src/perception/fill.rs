@@ -29,7 +29,7 @@ const WALL_M: f64 = 3.0;
 pub struct Filled {
     /// Inverse depth, 1/m; 0: nothing was known anywhere.
     pub inverse_depth: f32,
-    /// Cost of the way from the nearest known cell, steps.
+    /// Cost of the path from the nearest known cell, steps.
     pub cost: f32,
     /// How much the values from the four sides differ: their mean deviation as a share of their mean.
     pub spread: f32,

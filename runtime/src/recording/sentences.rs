@@ -11,7 +11,7 @@ use crate::perception::NoDepth;
 /// Level of a log message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Severity {
-    /// Normal operation.
+    /// An event of normal operation.
     Info,
     /// Worth investigating when it repeats.
     Warning,

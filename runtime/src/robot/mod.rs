@@ -77,6 +77,29 @@ impl DepthSource {
             Self::Truth => "truth",
         }
     }
+
+    /// The source with this [`name`](Self::name).
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|source| source.name() == name)
+    }
+
+    /// What it is, for the help of the command line.
+    #[must_use]
+    pub fn description(self) -> &'static str {
+        match self {
+            Self::Coarse => {
+                "Coarse depth, triangulated between frames from the known motion of the robot"
+            }
+            Self::Dense => {
+                "Dense depth: for each pixel the most probable of coarse depth, depth that was observed earlier, and the walls and the floor that the scan shows"
+            }
+            Self::Network => "The output of the depth network",
+            Self::Truth => {
+                "Ground truth of the simulator, to test mapping and planning only; no real robot has it"
+            }
+        }
+    }
 }
 
 /// Which part of the configuration cannot be used, and why.
@@ -106,13 +129,11 @@ pub enum RobotError {
 /// Stages of one tick, for latency reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
-    /// Coarse depth.
     Coarse,
-    /// Dense depth.
+    /// From coarse depth to dense depth.
     Dense,
-    /// The depth network.
     Network,
-    /// The map.
+    /// Depth and scan enter the map.
     Map,
     /// Policy and planning.
     Plan,

@@ -1,4 +1,4 @@
-//! Tests of the ground behind: the robot reverses by itself only where it knows that the ground is free.
+//! Tests of the ground behind: the safety plane reverses the robot only where it knows that the ground is free.
 
 use super::tests::{FORWARD, Room, TICK_NS, cart, tripped};
 use super::*;

@@ -511,7 +511,7 @@ mod tests {
     #[test]
     fn one_order_to_arm_is_enough_and_nothing_moves_before_the_motors_are_ready() {
         let mut robot = Robot::new();
-        assert!(!robot.drives_after(10), "nobody has armed it");
+        assert!(!robot.drives_after(10), "no person has armed it");
         robot.step(Some(Request::Arm));
         assert!(!robot.drives() && robot.control.has_authority());
         assert!(robot.drives_after(10));

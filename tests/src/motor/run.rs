@@ -45,11 +45,11 @@ pub struct MotorArgs {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ProtocolArg {
-    /// ODrive CANSimple.
+    /// ODrive controllers, with the protocol CANSimple.
     Odrive,
-    /// VESC.
+    /// VESC controllers, with extended CAN frames.
     Vesc,
-    /// CANopen drives.
+    /// CANopen drives, with the profile CiA 402.
     Cia402,
 }
 

@@ -69,7 +69,7 @@ fn control(
 }
 
 impl Device {
-    /// `VIDIOC_QUERYCAP`.
+    /// The answer to `VIDIOC_QUERYCAP`: what the device can do.
     #[must_use]
     pub fn capability(&self) -> Capability {
         Capability { capture: !self.multiplanar, capture_planes: self.multiplanar, streaming: true }

@@ -16,7 +16,7 @@ use crate::sequence::{Sequence, View};
 pub enum Input {
     /// Coarse depth, which it was trained with.
     Coarse,
-    /// Dense depth.
+    /// Dense depth, which a robot gives it.
     Dense,
 }
 

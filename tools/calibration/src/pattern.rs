@@ -1,4 +1,4 @@
-//! A drive for calibration: straight lines, arcs and rotations both ways with many stops, away from what is near.
+//! A drive for calibration: straight lines, arcs and rotations in both directions with many stops, away from what is near.
 
 use hal::{LaserScan, Twist2};
 use rand::{Rng, RngExt};

@@ -23,7 +23,7 @@ const NOTICES_WITHIN_M: f64 = 10.0;
 /// No drive of that distance takes longer, seconds.
 const LONGEST_S: f64 = 800.0;
 
-/// A way in which a robot changes.
+/// How a robot changes.
 struct Disturbance {
     name: &'static str,
     /// What it should be called.
@@ -89,7 +89,7 @@ struct Reports {
 /// A scene that cannot be opened.
 pub fn measure(seeds: Range<u64>, only: Option<&str>, seconds: f64) -> Result<()> {
     println!(
-        "| change | robots | named within 10 m | named wrongly | way p50 | way p90 | other reports |"
+        "| change | robots | named within 10 m | named wrongly | distance p50 | distance p90 | other reports |"
     );
     println!("|---|---|---|---|---|---|---|");
     for disturbance in &DISTURBANCES {
@@ -107,7 +107,7 @@ pub fn measure(seeds: Range<u64>, only: Option<&str>, seconds: f64) -> Result<()
 #[derive(Default)]
 struct Row {
     robots: usize,
-    /// After the change, the first report was this one, after these ways, metres; or another.
+    /// After the change, the first report was this one, after these distances, metres; or another.
     named_m: Vec<f64>,
     wrong: usize,
     /// Every other report, before and after.

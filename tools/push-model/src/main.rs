@@ -13,7 +13,7 @@ use clap_complete::Shell;
 use signed_model::{Bundle, generate_keys, read_secret_key, sign};
 use target::Target;
 
-/// Send a signed model to a robot and show the result of the robot's gate.
+/// Send a signed model to a robot, which tests it before it is installed, and show the robot's answer.
 #[derive(Debug, Parser)]
 #[command(
     name = "push-model",

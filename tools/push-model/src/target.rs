@@ -9,7 +9,7 @@ pub enum Target {
     Local { store: String },
     /// A robot that is reached by ssh.
     Remote {
-        /// `[user@]host`.
+        /// The robot's computer as ssh takes it: `[user@]host`.
         host: String,
         /// The directory of the store, if it differs from the one in the robot's configuration.
         store: Option<String>,

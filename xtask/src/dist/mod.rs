@@ -14,10 +14,10 @@ use crate::{command, paths};
 /// Architecture of the robot's computer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Arch {
-    /// 64-bit PC.
+    /// A 64-bit PC (Debian: amd64).
     #[value(name = "x86_64")]
     X86,
-    /// 64-bit ARM.
+    /// A 64-bit ARM board (Debian: arm64).
     #[value(name = "aarch64")]
     Arm,
 }

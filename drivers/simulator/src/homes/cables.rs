@@ -94,7 +94,7 @@ fn is_doorway(room: usize, side: Side, station: f32, layout: &Layout) -> bool {
 }
 
 /// A cubic Bezier curve in pieces of about [`PIECE_M`]. Its inner control points are a third and two
-/// thirds of the way, shifted aside by `bends` of its length, and stay on the floor; so does the
+/// thirds of the distance, shifted aside by `bends` of its length, and stay on the floor; so does the
 /// curve, because it lies within the hull of its control points.
 fn curve([start, end]: [[f32; 2]; 2], bends: [f32; 2], floor: &Rect) -> Vec<[f32; 2]> {
     let way = [end[0] - start[0], end[1] - start[1]];

@@ -15,11 +15,11 @@ pub struct Change {
     /// Pose of the laser scanner in the base frame; must be level.
     pub t_base_laser: Pose3,
     pub wheels: WheelErrors,
-    /// See `RobotOptions::camera_late_s`.
+    /// Replaces `RobotOptions::camera_late_s`.
     pub camera_late_s: f64,
-    /// See `RobotOptions::lidar_late_s`.
+    /// Replaces `RobotOptions::lidar_late_s`.
     pub lidar_late_s: f64,
-    /// See `RobotOptions::focal_scale`.
+    /// Replaces `RobotOptions::focal_scale`.
     pub focal_scale: f64,
 }
 

@@ -79,7 +79,7 @@ pub struct RobotOptions {
     pub camera_late_s: f64,
     /// Time by which the time stamps of scans are late, seconds.
     pub lidar_late_s: f64,
-    /// How the robot is later, if that is another way.
+    /// A change of the robot during the run, if there is one.
     pub change: Option<Change>,
     /// True focal length over that of `camera`.
     pub focal_scale: f64,

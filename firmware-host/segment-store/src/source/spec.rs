@@ -12,7 +12,7 @@ pub enum Location {
     Directory(PathBuf),
     /// A directory of another computer, reached by ssh.
     Ssh {
-        /// `[user@]host`.
+        /// The computer as ssh takes it: `[user@]host`.
         host: String,
         /// The path on that computer.
         path: String,

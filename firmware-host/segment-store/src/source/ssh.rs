@@ -173,7 +173,7 @@ impl Drop for Ssh {
     fn drop(&mut self) {
         // Closes the input of the robot's side, which then ends.
         self.remote = None;
-        // If the link hangs, ssh does not end by itself. It may also have ended already, so errors are ignored.
+        // If the link hangs, ssh does not end without a signal. It may also have ended already, so errors are ignored.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

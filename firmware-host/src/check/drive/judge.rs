@@ -154,7 +154,7 @@ fn way_ahead(measured: &Measured) -> Judgement {
     let advice = match laser_m {
         None => NOT_SEEN.to_owned(),
         Some(laser_m) => format!(
-            "the wheels report {:.0} % of the true way: check `wheel_radius_m`, `gear_ratio`, and `invert_left` and `invert_right` if \
+            "the wheels report {:.0} % of the true distance: check `wheel_radius_m`, `gear_ratio`, and `invert_left` and `invert_right` if \
              the robot rotated instead",
             100.0 * wheels_m / laser_m.max(1e-3)
         ),
@@ -186,7 +186,7 @@ fn rotation(what: &'static str, motion: &Motion) -> Judgement {
     }
 }
 
-/// Direction of the scanner's front, counter-clockwise from forward, degrees: driving straight ahead, it sees the robot's way turned
+/// Direction of the scanner's front, counter-clockwise from forward, degrees: driving straight ahead, it sees the direction of travel
 /// to the right by as much.
 pub fn lidar_yaw_deg(measured: &Measured) -> Option<f64> {
     let laser = measured.ahead.laser?;

@@ -26,7 +26,7 @@ pub use file::require;
 use judge::Assumed;
 use measure::Course;
 
-/// What the person beside the robot is told before it moves.
+/// Shown to the person beside the robot before it moves.
 const WARNING: &str = "The robot moves by up to 0.5 m ahead, slowly, rotates by 30 degrees to the left and back, and at last rolls out without \
                        commands. Put it on the floor \
                        that it will drive on, with 1 m free ahead, and stand beside it with a hand at the emergency stop.";

@@ -35,7 +35,7 @@ pub enum Skin {
     Parquet,
     /// Square tiles with grout; `true`: small ones for walls. Colourless.
     Tiles(bool),
-    /// Carpet; colourless.
+    /// The pile of a carpet. Colourless.
     Carpet,
     /// Sawn wood; nearly colourless.
     Grain,

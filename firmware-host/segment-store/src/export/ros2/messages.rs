@@ -7,7 +7,7 @@ use runtime::tick::Decision;
 use super::super::maps::Map;
 use super::cdr::Cdr;
 
-/// builtin_interfaces/Time.
+/// A time as builtin_interfaces/Time has it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Stamp {
     sec: i32,
@@ -43,7 +43,7 @@ fn pose(cdr: &mut Cdr, pose: &Pose3) {
     cdr.array(&[t.x, t.y, t.z, q.i, q.j, q.k, q.w]);
 }
 
-/// sensor_msgs/Image.
+/// A frame as sensor_msgs/Image.
 pub(super) fn image(stamp: Stamp, frame: &RgbImage) -> Vec<u8> {
     let mut cdr = Cdr::new();
     header(&mut cdr, stamp, "camera_optical");
@@ -57,7 +57,7 @@ pub(super) fn image(stamp: Stamp, frame: &RgbImage) -> Vec<u8> {
     cdr.into_bytes()
 }
 
-/// sensor_msgs/CameraInfo.
+/// The calibration of a camera as sensor_msgs/CameraInfo.
 pub(super) fn camera_info(stamp: Stamp, camera: &CameraModel) -> Vec<u8> {
     let (model, coefficients) = match &camera.distortion {
         Distortion::PlumbBob(k) => ("plumb_bob", &k[..]),
@@ -123,7 +123,7 @@ pub(super) fn odometry(stamp: Stamp, t_odom_base: &Pose2, twist: &Twist2) -> Vec
     cdr.into_bytes()
 }
 
-/// tf2_msgs/TFMessage.
+/// Poses between frames as tf2_msgs/TFMessage.
 pub(super) fn transforms(transforms: &[Transform]) -> Vec<u8> {
     let mut cdr = Cdr::new();
     cdr.length(transforms.len());
@@ -135,7 +135,7 @@ pub(super) fn transforms(transforms: &[Transform]) -> Vec<u8> {
     cdr.into_bytes()
 }
 
-/// nav_msgs/OccupancyGrid.
+/// A map as nav_msgs/OccupancyGrid.
 pub(super) fn occupancy_grid(stamp: Stamp, map: &Map) -> Vec<u8> {
     let mut cdr = Cdr::new();
     header(&mut cdr, stamp, "map");
