@@ -50,9 +50,13 @@ impl Home {
     }
 
     fn explore(&self, name: &str, frames: &str, more: &[&str]) -> Output {
+        self.explore_in(SCENE, name, frames, more)
+    }
+
+    fn explore_in(&self, scene: &str, name: &str, frames: &str, more: &[&str]) -> Output {
         let config = self.text("robot.toml");
         let out = self.text(name);
-        let mut args = vec!["explore", "--scene", SCENE, "--seed", "5", "--odometry", "perfect"];
+        let mut args = vec!["explore", "--scene", scene, "--seed", "5", "--odometry", "perfect"];
         args.extend(["--frames", frames, "--config", &config, "--out", &out]);
         args.extend(more);
         firmware_host(&args)
@@ -226,4 +230,24 @@ fn a_robot_drives_to_the_place_that_it_was_given_and_the_run_replays() {
     let last = ticks(&home.path("run")).pop().unwrap().t_map_base();
     assert!(last.distance_m(&Pose2::new(0.4, 0.1, 0.0)) < 0.15, "{last:?}");
     assert!(replayed(&home.text("run")).ends_with("replay: ticks=60 mismatches=0\n"));
+}
+
+/// The same configuration and scanner, so that only the robot can tell.
+#[test]
+fn in_the_map_of_another_home_the_robot_stays_lost_and_the_file_stays_as_it_is() {
+    let home = Home::new();
+    let map = home.text("home.map");
+    home.explored("run", "120", &["--map", &map]);
+    let saved = std::fs::read(&map).unwrap();
+    for scene in ["builtin:house?seed=2", "builtin:office?seed=1"] {
+        let output = home.explore_in(scene, "elsewhere", "300", &["--map", &map]);
+        let said = text(&output.stderr);
+        assert!(output.status.success() && said.contains("home.map stays as it was"), "{said}");
+        assert!(said.contains("the robot was started in a saved map"), "{said}");
+        let ticks = ticks(&home.path("elsewhere"));
+        let is_lost = |tick: &RecordedTick| tick.decision.as_ref().unwrap().lost.is_some();
+        assert!(ticks.len() == 300 && ticks.iter().all(is_lost));
+        assert!(std::fs::read(&map).unwrap() == saved, "{scene}");
+        std::fs::remove_dir_all(home.path("elsewhere")).unwrap();
+    }
 }

@@ -59,6 +59,8 @@ impl Tick {
 /// What differs between the robots of scenarios.
 #[derive(Debug, Clone)]
 pub struct Sensors {
+    /// The home: `builtin:apartment?seed=1`.
+    pub scene: String,
     pub laser: LaserModel,
     pub mount: CameraMount,
     pub camera: CameraModel,
@@ -70,6 +72,7 @@ impl Default for Sensors {
     /// The camera is small, because rendering takes most of the time of a scenario.
     fn default() -> Self {
         Self {
+            scene: "builtin:apartment?seed=1".to_owned(),
             laser: LaserModel::UTM_30LX,
             mount: CameraMount::default(),
             camera: CameraModel::pinhole(160, 64, FRAC_PI_2),
@@ -99,8 +102,8 @@ impl Scenario {
         seed: u64,
         sensors: Sensors,
     ) -> Result<Self, Box<dyn Error>> {
-        let Sensors { laser, mount, camera, depth } = sensors;
-        let world = World::open("builtin:apartment?seed=1", &OpenOptions::default())?;
+        let Sensors { scene, laser, mount, camera, depth } = sensors;
+        let world = World::open(&scene, &OpenOptions::default())?;
         let description = RobotDescription { camera: mount, ..RobotDescription::default() };
         let t_base_camera = mount.t_base_camera();
         let options =

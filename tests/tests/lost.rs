@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot set up its scene has failed")]
 
 use hal::{Pose2, wrap_angle};
-use hil::{Scenario, Tick};
+use hil::{Scenario, Sensors, Tick};
 use runtime::event::{Event, SafetyEvent};
 use runtime::exploration::PolicyKind;
 use runtime::localization::{LostReason, Whereabouts};
@@ -90,4 +90,37 @@ fn a_robot_that_is_started_in_a_saved_map_of_this_home_finds_itself() {
     assert_eq!(scenario.robot().whereabouts(), Whereabouts::Localized);
     assert_right(ticks.last().unwrap(), &t_map_world);
     assert!(scenario.robot().map().known_cells().count() >= known);
+}
+
+/// A robot in a built-in home. With `&moved=1`, the home's furniture stands elsewhere.
+fn in_home(home: &str, seed: u64) -> Scenario {
+    let sensors = Sensors { scene: format!("builtin:{home}"), ..Sensors::default() };
+    Scenario::with_sensors(PolicyKind::Active, &[], seed, sensors).unwrap()
+}
+
+/// Maps a home, moves its furniture, and starts another robot with the map at two places of the first robot's path.
+fn is_found_among_moved_furniture(home: &str) {
+    let mut first = in_home(home, 4);
+    let (t_map_world, poses) = explore(&mut first);
+    let map = first.robot().map_state();
+    for place in [poses[40], elsewhere(&poses)] {
+        let mut again = in_home(&format!("{home}&moved=1"), 5);
+        again.robot_mut().load_map_state(&map).unwrap();
+        again.carry_to(place);
+        let ticks = until_found(&mut again, 600);
+        assert_eq!(ticks[0].decision.lost, Some(LostReason::Loaded));
+        let whereabouts = again.robot().whereabouts();
+        assert_eq!(whereabouts, Whereabouts::Localized, "{home} at {place:?}");
+        assert_right(ticks.last().unwrap(), &t_map_world);
+        // And it remains right while it explores on.
+        let after = again.ticks(50).unwrap();
+        assert_right(after.last().unwrap(), &t_map_world);
+    }
+}
+
+#[test]
+fn a_robot_in_the_saved_map_of_a_home_whose_furniture_was_moved_finds_itself() {
+    for home in ["apartment?seed=1", "house?seed=1", "office?seed=1"] {
+        is_found_among_moved_furniture(home);
+    }
 }

@@ -11,6 +11,7 @@ use std::process::{Child, Command, Stdio};
 
 use assert_cmd::cargo::CommandCargoExt;
 use rustix::process::{Pid, Signal, kill_process};
+use simulator::{OpenOptions, World};
 
 /// A world, and the lines that it prints, after it is ready.
 fn world(folder: &Path) -> (Child, impl Iterator<Item = String>) {
@@ -62,6 +63,28 @@ fn signals_cut_the_power_of_the_motors_and_restore_it() {
     {
         send(&world, signal);
         assert!(lines.any(|line| line.contains(message)), "{signal:?}");
+    }
+    send(&world, Signal::TERM);
+    assert!(lines.any(|line| line.starts_with("world: path_m=")));
+    assert!(world.wait().unwrap().success());
+}
+
+#[test]
+fn lines_that_are_written_to_its_pipe_carry_push_and_hold_the_robot() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut world, mut lines) = world(folder.path());
+    let control = folder.path().join("control");
+    let home = World::open("builtin:apartment?seed=1", &OpenOptions::default()).unwrap();
+    let place = home.floor_plan().start_pose(7);
+    let carried = format!("carried to ({:.2}, {:.2}) m, 90 degrees", place.x_m, place.y_m);
+    for (order, message) in [
+        (format!("carry {} {} 90", place.x_m, place.y_m), carried.as_str()),
+        ("carry 100 100 0".to_owned(), "the robot does not fit at (100.00, 100.00) m; it does at"),
+        ("spin 3".to_owned(), "the wheels have no grip for 3 s"),
+        ("fly 1 2".to_owned(), "`fly 1 2` is not understood: write `carry X Y DEGREES`"),
+    ] {
+        std::fs::write(&control, order + "\n").unwrap();
+        assert!(lines.any(|line| line.contains(message)), "{message}");
     }
     send(&world, Signal::TERM);
     assert!(lines.any(|line| line.starts_with("world: path_m=")));

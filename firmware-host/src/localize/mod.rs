@@ -2,6 +2,7 @@
 
 mod between_scans;
 mod carmen;
+mod closures;
 pub mod log;
 mod track;
 mod trajectory;
@@ -20,10 +21,13 @@ use crate::report::another_run::refuse_run;
 use crate::report::atomic::{ReportError, prepare_dir, write_atomically};
 use crate::report::summary::SUMMARY_FILE;
 use log::Log;
-use track::Track;
+use track::{Events, Track};
 
 /// The poses as they were known at their times. No other command writes it.
 const ONLINE_FILE: &str = "online.tum";
+
+/// Each loop that was closed.
+const CLOSURES_FILE: &str = "closures.csv";
 
 /// The content of `summary.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -34,6 +38,8 @@ struct Summary {
     closures: u64,
     /// Length of the final path.
     path_m: f64,
+    #[serde(flatten)]
+    events: Events,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -62,6 +68,7 @@ pub fn run(args: &LocalizeArgs) -> Result<()> {
     let track = track::track(&log, &LocalizationConfig::default())?;
     write(&args.out, "trajectory.tum", &trajectory::tum(&log, &track.corrected))?;
     write(&args.out, ONLINE_FILE, &trajectory::tum(&log, &track.online))?;
+    write(&args.out, CLOSURES_FILE, &closures::csv(&track.listed))?;
     let summary = summary(&track);
     write(&args.out, SUMMARY_FILE, &serde_json::to_string_pretty(&summary)?)?;
     view::draw(&log, &track.corrected).write_png(&args.out.join("map.png"))?;
@@ -88,6 +95,7 @@ fn summary(track: &Track) -> Summary {
         },
         closures: track.closures,
         path_m: trajectory::length_m(&track.corrected),
+        events: track.events.clone(),
     }
 }
 

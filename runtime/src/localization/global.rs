@@ -98,6 +98,11 @@ impl GlobalMap {
         self.closed
     }
 
+    /// The closures that hold now.
+    pub(crate) fn closures(&self) -> &[Edge] {
+        self.graph.closures()
+    }
+
     pub(crate) fn t_map_odom(&self) -> Pose2 {
         let current = self.current();
         match (self.submap_in_map(current), self.submap_in_odom(current)) {

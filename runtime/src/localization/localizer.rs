@@ -47,6 +47,18 @@ impl Estimate {
     }
 }
 
+/// Two submaps whose poses in each other were found by matching: a loop, or the place where a lost robot was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Closure {
+    /// Indices of both submaps, as of [`Localizer::submap_in_map`].
+    pub from: usize,
+    pub to: usize,
+    /// Pose of the second submap in the first, as it was matched.
+    pub t_from_to: Pose2,
+    /// 1, or less if the closure does not agree well with the others.
+    pub weight: f64,
+}
+
 /// Estimates the robot's pose. It keeps its memory: once its keyframes are full, it allocates only where a submap is added or
 /// searched for.
 pub struct Localizer {
@@ -270,6 +282,16 @@ impl Localizer {
         self.global.closed()
     }
 
+    /// The closures that hold now. Closures that contradict the others are dropped, and are not among them.
+    pub fn held_closures(&self) -> impl Iterator<Item = Closure> {
+        self.global.closures().iter().map(|edge| Closure {
+            from: edge.from as usize,
+            to: edge.to as usize,
+            t_from_to: edge.t_from_to,
+            weight: edge.weight,
+        })
+    }
+
     /// The pose as it is now.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
@@ -455,6 +477,12 @@ mod tests {
         assert!(closed > 5, "{closed} corrections");
         let worst = worst_submap(&localizer, &truths);
         assert!(worst < 0.06, "{worst} m");
+        let held: Vec<_> = localizer.held_closures().collect();
+        assert!(!held.is_empty() && held.len() as u64 <= localizer.closures());
+        for Closure { from, to, t_from_to, .. } in held {
+            let truth = truths[from].inverse().compose(&truths[to]);
+            assert!(truth.distance_m(&t_from_to) < 0.1, "{from} {to}: {truth:?} {t_from_to:?}");
+        }
     }
 
     #[test]

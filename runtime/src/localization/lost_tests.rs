@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
-use super::test_room::{FLAT_TOUR, TestRobot, cast, furnished_room, rectangle};
+use super::test_room::{FLAT_TOUR, TestRobot, Wall, cast, flat, furnished_room, rectangle};
 use super::*;
 use hal::{Pose2, wrap_angle};
 
@@ -185,6 +185,20 @@ fn wheels_that_spin_for_three_seconds_are_reported_and_move_nothing() {
     }
 }
 
+/// The wheels of the robot that made the log FR079 do so.
+#[test]
+fn wheels_that_report_a_drive_back_as_one_ahead_are_named_and_the_scans_keep_the_pose() {
+    let mut drive = Drive::through_flat();
+    drive.stand(40);
+    for _ in 0..18 {
+        drive.robot.carry_to(drive.robot.truth.compose(&Pose2::new(-0.03, 0.0, 0.0)));
+        drive.robot.wheel = drive.robot.wheel.compose(&Pose2::new(0.03, 0.0, 0.0));
+        drive.update();
+    }
+    assert_eq!((drive.lost.len(), drive.wheel_errors.as_slice()), (0, &[WheelError::Reversed][..]));
+    drive.assert_right(0.06);
+}
+
 #[test]
 fn a_corridor_of_15_metres_without_features_is_no_reason_to_be_lost() {
     let walls = rectangle([-2.0, -0.9], [60.0, 0.9]).to_vec();
@@ -239,6 +253,85 @@ fn a_robot_that_is_restarted_elsewhere_in_a_saved_map_finds_itself() {
         assert!(!drive.is_lost(), "at {x} {y}, {} scans", drive.localizer.scans_searched());
         drive.assert_right(0.06);
     }
+}
+
+/// The flat with the door of the room at (7, 2) closed.
+fn flat_with_closed_door() -> Vec<Wall> {
+    let mut walls = flat();
+    walls.push([[7.0, 3.0], [7.9, 3.0]]);
+    walls
+}
+
+/// The flat with the sofa of the room at (2, 2) moved along its wall.
+fn flat_with_moved_sofa(by_m: f64) -> Vec<Wall> {
+    let mut walls = flat();
+    let sofa = rectangle([0.1, 0.1], [1.1, 1.6]);
+    let before = walls.len();
+    walls.retain(|wall| !sofa.contains(wall));
+    assert_eq!(walls.len(), before - 4);
+    walls.extend(rectangle([0.1, 0.1 + by_m], [1.1, 1.6 + by_m]));
+    walls
+}
+
+/// Restarts at places on both sides of the door, and in the room of the sofa.
+fn assert_that_restarts_are_found(walls: &[Wall]) {
+    let saved = Drive::through_flat().localizer.snapshot();
+    for (x, y, yaw) in [(1.9, 2.0, 2.5), (2.2, 3.6, 1.0), (7.4, 3.6, -1.2), (5.2, 1.8, 0.4)] {
+        let mut drive = Drive::new(TestRobot::in_flat(9));
+        drive.localizer.restore(&saved).unwrap();
+        drive.localizer.lose(LostReason::Loaded);
+        drive.robot.walls = walls.to_vec();
+        drive.robot.carry_to(Pose2::new(x, y, yaw));
+        drive.search();
+        assert!(!drive.is_lost(), "at {x} {y}, {} scans", drive.localizer.scans_searched());
+        drive.assert_right(0.06);
+    }
+}
+
+#[test]
+fn a_door_that_was_open_and_is_closed_does_not_hide_the_place_from_a_restarted_robot() {
+    assert_that_restarts_are_found(&flat_with_closed_door());
+}
+
+#[test]
+fn a_sofa_that_was_moved_does_not_hide_the_place_from_a_restarted_robot() {
+    for by_m in [0.5, 1.3] {
+        assert_that_restarts_are_found(&flat_with_moved_sofa(by_m));
+    }
+}
+
+#[test]
+fn a_door_that_is_closed_and_a_sofa_that_is_moved_behind_the_robots_back_do_not_make_it_lost() {
+    for walls in [flat_with_closed_door(), flat_with_moved_sofa(0.5), flat_with_moved_sofa(1.3)] {
+        let mut drive = Drive::through_flat();
+        drive.robot.walls = walls;
+        // Past the closed door, into the room of the sofa.
+        drive.tour(&[
+            [8.45, 5.5],
+            [8.45, 3.7],
+            [7.45, 3.7],
+            [3.45, 3.7],
+            [1.95, 3.6],
+            [1.95, 2.0],
+            [2.6, 1.4],
+        ]);
+        drive.stand(10);
+        assert_eq!((drive.lost.as_slice(), drive.wheel_errors.as_slice()), (&[][..], &[][..]));
+        drive.assert_right(0.06);
+    }
+}
+
+/// The change happens in view of a robot that stands before it.
+#[test]
+fn a_door_that_is_closed_before_the_robots_eyes_does_not_make_it_lost() {
+    let mut drive = Drive::through_flat();
+    drive.tour(&[[8.45, 5.5], [8.45, 3.7], [7.45, 3.7]]);
+    drive.stand(20);
+    drive.robot.walls = flat_with_closed_door();
+    drive.stand(20);
+    drive.tour(&[[5.5, 3.7], [7.45, 3.7]]);
+    assert_eq!((drive.lost.as_slice(), drive.wheel_errors.as_slice()), (&[][..], &[][..]));
+    drive.assert_right(0.06);
 }
 
 #[test]

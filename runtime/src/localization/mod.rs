@@ -41,7 +41,7 @@ mod wheel_model;
 pub use config::{LocalizationConfig, PoseSource};
 pub use driven_leg::{DrivenLeg, ScanVariances};
 pub use error::LocalizationError;
-pub use localizer::{Estimate, Localizer};
+pub use localizer::{Closure, Estimate, Localizer};
 pub use lost::{LostReason, Whereabouts};
 pub use matcher::ScanFit;
 pub use slip::WheelError;

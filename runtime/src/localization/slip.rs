@@ -13,6 +13,9 @@ const MOST_SHARE: f64 = 0.5;
 
 /// Wheels that spin report at least this share of what the scans take back.
 const SPIN_SHARE: f64 = 0.7;
+/// Wheels that report the wrong direction report about half of what the scans take back. The scans then move back by 0.67 to 1.5
+/// of what the wheels report.
+const REVERSED_SHARE: [f64; 2] = [0.4, 0.6];
 
 /// How the wheels contradict the scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -23,6 +26,8 @@ pub enum WheelError {
     Spin,
     /// The robot moves and its wheels do not: it is pushed or carried.
     Pushed,
+    /// The robot moves about as far as its wheels report, the other way.
+    Reversed,
 }
 
 /// Compares the wheels with the scans.
@@ -76,7 +81,7 @@ impl Slip {
         (self.is_reported && !was_reported).then(|| self.kind(shifted))
     }
 
-    /// Wheels that spin report what the scans take back.
+    /// Wheels that spin report what the scans take back, and wheels that report the wrong direction half of it.
     fn kind(&self, shifted: bool) -> WheelError {
         let [wheels, more] = [self.wheels, self.more];
         let (reported, taken_back, size) = if shifted {
@@ -84,8 +89,15 @@ impl Slip {
         } else {
             (wheels.yaw_rad, -more.yaw_rad, more.yaw_rad.abs())
         };
-        let spins = reported * taken_back > 0.0 && reported.abs() > SPIN_SHARE * size;
-        if spins { WheelError::Spin } else { WheelError::Pushed }
+        let share = if reported * taken_back > 0.0 { reported.abs() / size } else { 0.0 };
+        let [least, most] = REVERSED_SHARE;
+        if share > SPIN_SHARE {
+            WheelError::Spin
+        } else if (least..=most).contains(&share) {
+            WheelError::Reversed
+        } else {
+            WheelError::Pushed
+        }
     }
 }
 
@@ -120,6 +132,22 @@ mod tests {
         }
         let sideways = Pose2::new(0.0, 0.03, 0.0);
         assert_eq!(reported(&Pose2::IDENTITY, &sideways, 30), [WheelError::Pushed]);
+    }
+
+    #[test]
+    fn wheels_that_report_the_wrong_direction_are_distinguished_from_both() {
+        let ahead = Pose2::new(0.03, 0.0, 0.0);
+        let left = Pose2::new(0.0, 0.0, 0.035);
+        for motion in [ahead, left] {
+            let other_way = motion.inverse();
+            assert_eq!(reported(&motion, &other_way, 30), [WheelError::Reversed]);
+            assert_eq!(reported(&other_way, &motion, 30), [WheelError::Reversed]);
+        }
+        // Wheels that are a tenth too large do not hide it.
+        let larger = Pose2::new(0.033, 0.0, 0.0);
+        assert_eq!(reported(&larger, &ahead.inverse(), 30), [WheelError::Reversed]);
+        // A robot that is pushed back faster than its wheels drive ahead.
+        assert_eq!(reported(&ahead, &Pose2::new(-0.1, 0.0, 0.0), 30), [WheelError::Pushed]);
     }
 
     #[test]

@@ -137,6 +137,7 @@ fn wheel_error(how: WheelError) -> &'static str {
     match how {
         WheelError::Spin => "the wheels spin, or the robot is held",
         WheelError::Pushed => "the robot moves and its wheels do not: it is pushed or carried",
+        WheelError::Reversed => "the robot moves as far as its wheels report, the other way",
     }
 }
 

@@ -6,9 +6,13 @@ mod location;
 mod lost;
 mod map_correction;
 mod outside_odometry;
+#[cfg(test)]
+mod refusal_tests;
 mod saved_map;
 #[cfg(test)]
 mod saved_map_tests;
+#[cfg(test)]
+mod test_robot;
 mod wheel_frame;
 
 use std::collections::VecDeque;

@@ -1,75 +1,9 @@
-use hal::{CameraModel, LaserScan, Pose2, Range, RobotDescription, ScanGeometry};
+use hal::Pose2;
 
+use super::test_robot::{GEOMETRY, cells, config, drive, robot, stand};
 use super::*;
-use crate::exploration::PolicyKind;
 use crate::localization::{LocalizationConfig, PoseSource};
 use crate::mapping::MapConfig;
-use crate::recording::RecordedTick;
-use crate::session::recompute;
-
-/// Half of the sides of a room around the origin, metres.
-const ROOM_M: [f64; 2] = [2.0, 1.4];
-/// One beam per degree.
-const GEOMETRY: ScanGeometry = ScanGeometry {
-    beams: 270,
-    angle_min_rad: -134.5 * std::f64::consts::PI / 180.0,
-    angle_increment_rad: std::f64::consts::PI / 180.0,
-    ..ScanGeometry::UTM_30LX
-};
-
-fn config() -> RobotConfig {
-    let camera = CameraModel::pinhole(64, 32, 1.5);
-    let default = RobotConfig::of(&RobotDescription::default(), camera, PolicyKind::Frontier, 1);
-    // A small map, because it is written to a snapshot.
-    let map = MapConfig { side_cells: 256, recenter_cells: 20, ..default.map };
-    RobotConfig { map, ..default }
-}
-
-fn robot() -> Robot {
-    Robot::new(config(), None).unwrap()
-}
-
-/// What the scanner measures at a true pose in the room.
-fn scan(truth: &Pose2, time_ns: u64) -> LaserScan {
-    let ranges = (0..GEOMETRY.beams).map(|beam| {
-        let (sin, cos) = (truth.yaw_rad + GEOMETRY.angle_rad(beam)).sin_cos();
-        let to_side_m = to_wall_m(truth.x_m, cos, ROOM_M[0]);
-        Range::Hit(to_side_m.min(to_wall_m(truth.y_m, sin, ROOM_M[1])) as f32)
-    });
-    LaserScan { time_ns, geometry: GEOMETRY, ranges: ranges.collect() }
-}
-
-/// Length of a ray from `at_m` to the wall that it meets on one axis.
-fn to_wall_m(at_m: f64, direction: f64, half_m: f64) -> f64 {
-    if direction.abs() < 1e-9 {
-        return f64::INFINITY;
-    }
-    (half_m - at_m * direction.signum()) / direction.abs()
-}
-
-/// The robot stands at a true pose; its wheels report `wheel`.
-fn stand(robot: &mut Robot, tick: u64, truth: &Pose2, wheel: Pose2) -> Decision {
-    let time_ns = tick * 100_000_000;
-    let mut input = RecordedTick::new(tick, time_ns);
-    input.wheel.odom = wheel;
-    input.scan_odom = wheel;
-    input.scan = Some(scan(truth, time_ns));
-    recompute(robot, &input).unwrap()
-}
-
-/// Drives 0.9 m ahead through the room.
-fn drive(robot: &mut Robot) -> Pose2 {
-    let mut truth = Pose2::IDENTITY;
-    for tick in 0..30 {
-        truth = Pose2::new(0.03 * tick as f64, 0.0, 0.0);
-        stand(robot, tick, &truth, truth);
-    }
-    truth
-}
-
-fn cells(map: &OccupancyGrid) -> Vec<(crate::mapping::Cell, u32)> {
-    map.known_cells().map(|(cell, log_odds)| (cell, log_odds.to_bits())).collect()
-}
 
 #[test]
 fn a_loaded_map_is_the_saved_one_and_the_robot_goes_on_at_its_pose() {

@@ -18,8 +18,11 @@ use simulator::odometry::OdometryNoise;
 use super::ScannerModel;
 use super::cables::Cables;
 use super::faults::RandomFaults;
+use super::hands::ControlPipe;
 use super::live::{LiveOptions, LiveWorld};
 
+/// Name of the pipe for what people do to the robot.
+const CONTROL: &str = "control";
 /// Interval of fault updates and output.
 const POLL_NS: u64 = 10_000_000;
 /// A motor controller needs this long to start after its power is back.
@@ -29,7 +32,9 @@ const LATE_MS: u64 = 50;
 
 /// Simulate a home with all devices, in real time, for `firmware-host run`.
 ///
-/// SIGUSR1 cuts the power of the motors and SIGUSR2 restores it, as an emergency stop in their supply does.
+/// SIGUSR1 cuts the power of the motors and SIGUSR2 restores it, as an emergency stop in their supply does. Lines that are written to
+/// DIR/control do to the robot what a person could do: `carry X Y DEGREES` in the scene's frame, `push FORWARD LEFT` by metres, and
+/// `spin SECONDS` while the wheels have no grip.
 #[derive(Debug, clap::Args)]
 pub struct WorldArgs {
     /// Home: `builtin:apartment?seed=1` (also `house`, `office`), or a scene file.
@@ -126,11 +131,15 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
             cables: args.cables.clone(),
         },
     )?;
+    let mut pipe = ControlPipe::listen(&args.dir.join(CONTROL))?;
     let dir = args.dir.display();
     println!("{} is ready. In other terminals:\n", args.scene);
     println!("    firmware-host run --config {} --out {dir}/run", world.config().display());
     println!("    firmware-host health --watch --status {dir}/status.json");
-    println!("    firmware-host return --task-file {dir}/task.json\n");
+    println!("    firmware-host return --task-file {dir}/task.json");
+    println!(
+        "    echo 'push 0 0.2' > {dir}/{CONTROL}    # also: carry X Y DEGREES, spin SECONDS\n"
+    );
     let mut random_faults = args.faults.map(RandomFaults::new);
     let mut clock = MonotonicClock;
     let began = Instant::now();
@@ -139,6 +148,13 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
         clock.sleep_until_ns(clock.now_ns() + POLL_NS);
         let time_s = began.elapsed().as_secs_f64();
         if let Some(message) = supply.update(&world) {
+            println!("\r{time_s:8.2} s  {message}\x1b[K");
+        }
+        while let Some(order) = pipe.next_line() {
+            let message = match order.and_then(|what| world.home().handle(&what).map(|()| what)) {
+                Ok(what) => what.to_string(),
+                Err(refusal) => refusal,
+            };
             println!("\r{time_s:8.2} s  {message}\x1b[K");
         }
         if let Some(random_faults) = &mut random_faults

@@ -4,10 +4,11 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use drivers::can::{BaseConfig, Kinematics};
-use hal::{Base, Clock, DriveCommand, LaserScan, Lidar, Pose2};
+use hal::{Base, Clock, DriveCommand, LaserScan, Lidar, Pose2, Twist2};
 use simulator::robot::{SimBase, SimClock, SimLidar, Truth};
 use simulator::{RobotOptions, SceneError, SimulatedRobot, World};
 
+use super::hands::{Handled, Push};
 use super::wheels::Wheels;
 use crate::motor::MotorNode;
 
@@ -31,6 +32,7 @@ struct Scanner {
 }
 
 struct State {
+    robot: SimulatedRobot,
     base: SimBase,
     clock: SimClock,
     truth: Truth,
@@ -44,6 +46,10 @@ struct State {
     path_m: f64,
     /// Recent poses with their times.
     history: VecDeque<(u64, Pose2)>,
+    /// A push that is not over.
+    push: Option<Push>,
+    /// Until then the wheels have no grip on the floor.
+    spins_until_ns: u64,
 }
 
 impl Home {
@@ -58,10 +64,12 @@ impl Home {
         base: &BaseConfig,
     ) -> Result<Self, SceneError> {
         let wheels = Wheels::new(options.odometry, options.seed);
-        let devices = SimulatedRobot::new(Arc::clone(&world), options)?.devices();
+        let robot = SimulatedRobot::new(Arc::clone(&world), options)?;
+        let devices = robot.devices();
         let scan = LaserScan::empty(devices.lidar.geometry());
         let scanner = Scanner { lidar: devices.lidar, scan };
         let state = State {
+            robot,
             base: devices.base,
             clock: devices.clock,
             truth: devices.truth,
@@ -73,6 +81,8 @@ impl Home {
             touches: 0,
             path_m: 0.0,
             history: VecDeque::new(),
+            push: None,
+            spins_until_ns: 0,
         };
         Ok(Self {
             world,
@@ -99,15 +109,17 @@ impl Home {
             wheels.each_ref().map(|node| node.wheel().velocity_radps() * state.wheel_radius_m);
         let measured = state.kinematics.twist(rims);
         let seconds = time_ns.saturating_sub(state.clock.now_ns()) as f64 * 1e-9;
-        let twist = state.wheels.on_floor(&measured, seconds);
+        let on_floor = state.wheels.on_floor(&measured, seconds);
+        let twist = if time_ns < state.spins_until_ns { Twist2::ZERO } else { on_floor };
         state.counter = state.counter.wrapping_add(1);
         let command = DriveCommand { twist, counter: state.counter, plan_age_ns: 0 };
         // Wheel velocities are finite, so the command is not refused.
         let _ = state.base.drive(&command);
         let before = state.truth.pose();
         state.clock.sleep_until_ns(time_ns);
+        state.path_m += before.distance_m(&state.truth.pose());
+        state.go_on_pushing(seconds);
         let pose = state.truth.pose();
-        state.path_m += before.distance_m(&pose);
         state.history.push_back((time_ns, pose));
         while state.history.front().is_some_and(|(then_ns, _)| then_ns + HISTORY_NS < time_ns) {
             state.history.pop_front();
@@ -133,6 +145,50 @@ impl Home {
         read(scan);
     }
 
+    /// Does to the robot what a person would do. Its wheels do not notice.
+    ///
+    /// # Errors
+    /// A place where the robot does not fit, with the nearest one where it does.
+    pub fn handle(&self, what: &Handled) -> Result<(), String> {
+        let mut state = self.state();
+        match *what {
+            Handled::Carried(pose) => {
+                self.check_fit(&pose)?;
+                state.push = None;
+                state.robot.carry_to(pose);
+            }
+            Handled::Pushed { forward_m, left_m } => {
+                let end = state.truth.pose().compose(&Pose2::new(forward_m, left_m, 0.0));
+                self.check_fit(&end)?;
+                state.push = Some(Push::new(forward_m, left_m));
+            }
+            Handled::WithoutGrip { seconds } => {
+                let now_ns = state.clock.now_ns();
+                state.spins_until_ns = now_ns + (seconds * 1e9) as u64;
+            }
+        }
+        Ok(())
+    }
+
+    fn check_fit(&self, pose: &Pose2) -> Result<(), String> {
+        let Pose2 { x_m, y_m, .. } = *pose;
+        let plan = self.world.floor_plan();
+        if plan.fits(x_m, y_m, &[]) {
+            return Ok(());
+        }
+        let [near_x_m, near_y_m] = plan.nearest_free(x_m, y_m);
+        Err(format!(
+            "the robot does not fit at ({x_m:.2}, {y_m:.2}) m; it does at ({near_x_m:.2}, {near_y_m:.2}) m"
+        ))
+    }
+
+    /// Whether the wheels have no grip on the floor now.
+    #[must_use]
+    pub fn is_without_grip(&self) -> bool {
+        let state = self.state();
+        state.clock.now_ns() < state.spins_until_ns
+    }
+
     /// True pose of the robot.
     #[must_use]
     pub fn pose(&self) -> Pose2 {
@@ -153,5 +209,19 @@ impl Home {
     pub fn score(&self) -> (u64, f64) {
         let state = self.state();
         (state.touches, state.path_m)
+    }
+}
+
+impl State {
+    fn go_on_pushing(&mut self, seconds: f64) {
+        let Some(push) = &mut self.push else { return };
+        let Some(motion) = push.step(seconds) else {
+            self.push = None;
+            return;
+        };
+        // What stands in the way ends a push.
+        if !self.robot.push_by(&motion) {
+            self.push = None;
+        }
     }
 }

@@ -7,6 +7,7 @@
 mod cables;
 mod command;
 mod faults;
+mod hands;
 mod home;
 mod live;
 mod output;
@@ -16,6 +17,7 @@ mod wheels;
 
 pub use cables::{Cable, Cables};
 pub use command::{WorldArgs, run};
+pub use hands::Handled;
 pub use home::Home;
 pub use live::{LiveOptions, LiveWorld};
 pub use scanner::{ScannerModel, SimulatedScanner};

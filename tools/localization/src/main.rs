@@ -3,6 +3,7 @@
 //! The logs are not part of the project. Their folder is an argument; without it, it is `shared/data/lidar` beside the repository.
 #![forbid(unsafe_code)]
 
+mod closures;
 mod drives;
 mod relations;
 mod relocalize;
@@ -88,10 +89,14 @@ fn main() -> Result<()> {
         return Ok(());
     }
     let mut rows = Vec::new();
+    let mut below = String::new();
     for case in &CASES {
-        rows.extend(measure(case, &logs, &out.join(case.name))?);
+        let out = out.join(case.name);
+        rows.extend(measure(case, &logs, &out)?);
+        below += &closures(case, &logs, &out)?;
     }
     print_table(&COLUMNS, &rows);
+    print!("{below}");
     Ok(())
 }
 
@@ -167,6 +172,17 @@ fn measure(case: &Case, folder: &Path, out: &Path) -> Result<Vec<Vec<String>>> {
         rows.push(row);
     }
     Ok(rows)
+}
+
+/// Sentences about the closures of a log that [`measure`] has localized along. Writes each closure with its error.
+fn closures(case: &Case, folder: &Path, out: &Path) -> Result<String> {
+    let Some((file, clock)) = &case.truth else { return Ok(String::new()) };
+    let relations = Relation::read(&folder.join(file))?;
+    let trajectory = Trajectory::read(&out.join("trajectory.tum"), &folder.join(case.log))?;
+    let accepted = summary(out)?["closures"].as_u64().unwrap_or_default();
+    let report = closures::Report::new(out, accepted, &relations, clock, &trajectory)?;
+    std::fs::write(out.join("closures_checked.csv"), report.csv())?;
+    Ok(report.sentences(case.name))
 }
 
 fn errors(case: &Case, folder: &Path, trajectory: &Trajectory) -> Result<[String; 4]> {

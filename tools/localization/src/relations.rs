@@ -37,6 +37,28 @@ impl Clock {
     pub const FREIBURG: Self =
         Self { offset_s: 1211.44, end_s: f64::INFINITY, nearest_s: None, forward_m: 0.04 };
 
+    /// The times and the frame of the truth are those of the log.
+    #[cfg(test)]
+    pub const PLAIN: Self =
+        Self { offset_s: 0.0, end_s: f64::INFINITY, nearest_s: None, forward_m: 0.0 };
+
+    /// The pose of the truth's frame at a time of the log, interpolated between scans.
+    pub fn pose_in_log(&self, time_s: f64, trajectory: &Trajectory) -> Option<Pose2> {
+        let exact = || trajectory.nearest(time_s, 1e-6);
+        let pose = trajectory.between_scans(time_s).or_else(exact);
+        pose.map(|pose| pose.compose(&self.t_base_truth()))
+    }
+
+    /// A motion of the robot as a motion of the truth's frame.
+    pub fn in_truths_frame(&self, motion: &Pose2) -> Pose2 {
+        let t_base_truth = self.t_base_truth();
+        t_base_truth.inverse().compose(motion).compose(&t_base_truth)
+    }
+
+    fn t_base_truth(&self) -> Pose2 {
+        Pose2::new(self.forward_m, 0.0, 0.0)
+    }
+
     fn pose(&self, time_s: f64, trajectory: &Trajectory) -> Option<Pose2> {
         let time_s = time_s - self.offset_s;
         if time_s >= self.end_s {
@@ -46,7 +68,7 @@ impl Clock {
             Some(tolerance_s) => trajectory.nearest(time_s, tolerance_s),
             None => trajectory.between_scans(time_s),
         };
-        pose.map(|pose| pose.compose(&Pose2::new(self.forward_m, 0.0, 0.0)))
+        pose.map(|pose| pose.compose(&self.t_base_truth()))
     }
 }
 
@@ -57,7 +79,16 @@ impl Relation {
         text.lines().filter(|line| !line.trim().is_empty()).map(Self::parse).collect()
     }
 
-    fn parse(line: &str) -> Result<Self> {
+    /// Both times in the log's time.
+    pub fn log_times_s(&self, clock: &Clock) -> [f64; 2] {
+        self.times_s.map(|time_s| time_s - clock.offset_s)
+    }
+
+    pub fn motion(&self) -> Pose2 {
+        self.motion
+    }
+
+    pub fn parse(line: &str) -> Result<Self> {
         let values: Vec<f64> = line
             .split_whitespace()
             .map(str::parse)

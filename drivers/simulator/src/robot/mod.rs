@@ -270,6 +270,18 @@ impl SimulatedRobot {
         state.trail = Trail::new(now_ns, pose);
     }
 
+    /// Pushes the robot by `motion` in its own frame, where it still fits; returns whether it did. Its wheels do not notice.
+    pub fn push_by(&self, motion: &Pose2) -> bool {
+        let mut state = lock(&self.shared);
+        let pose = state.pose.compose(motion);
+        if !pose.is_finite() || !state.plan.fits(pose.x_m, pose.y_m, &[]) {
+            return false;
+        }
+        state.pose = pose;
+        state.trail.move_end(pose);
+        true
+    }
+
     /// Device handles that share this robot. The noise of each scanner begins with the robot's seed.
     #[must_use]
     pub fn devices(&self) -> Devices {

@@ -30,6 +30,13 @@ impl Trail {
         }
     }
 
+    /// The robot is at `pose` at the end of the last step: it was pushed during that step.
+    pub fn move_end(&mut self, pose: Pose2) {
+        if let Some((_, end)) = self.ends.back_mut() {
+            *end = pose;
+        }
+    }
+
     /// The pose at a time, along the arc of the step in which it lies. Before the first known time the robot stands.
     /// After the last known time it continues with the motion of the last step, because the exposure of a frame ends
     /// later than its middle.
