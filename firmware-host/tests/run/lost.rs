@@ -94,7 +94,7 @@ fn assert_lost_then_found(ticks: &[RecordedTick], is_reason: impl Fn(LostReason)
     let events = events(ticks);
     let lost =
         events.iter().find(|(_, event)| matches!(event, Event::Lost { why } if is_reason(*why)));
-    let (lost, _) = lost.expect("it was not lost");
+    let Some((lost, _)) = lost else { panic!("it was not lost") };
     let is_found =
         |(tick, event): &(u64, Event)| tick > lost && matches!(event, Event::Found { .. });
     assert!(events.iter().any(is_found), "lost at tick {lost} and not found");
