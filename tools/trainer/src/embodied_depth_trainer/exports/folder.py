@@ -3,6 +3,7 @@ made of, so that a run that has grown is exported again."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.exports.runs import Run
+from embodied_depth_trainer.exports.ticks import read_header
 
 RECORD = "export.json"
 """The file in each export that says what it was made of."""
@@ -25,13 +27,21 @@ class Origin:
     """What an export is made of. As for `pull-buffer`, a segment of the same size and modification time is the same."""
 
     layout: str
+    run: str
+    """Digest of what is the same in the header of every segment of a run, and contains the identity of a real run."""
     segments: list[list[str | int]]
     """Name, bytes and modification time of each segment."""
 
     @staticmethod
     def of(layout: str, run: Run) -> Origin:
         states = [(file.name, file.stat()) for file in run.segments]
-        return Origin(layout, [[name, state.st_size, state.st_mtime_ns] for name, state in states])
+        header = next((header for file in run.segments if (header := read_header(file)) is not None), {})
+        digest = hashlib.sha256(json.dumps(header.get("run"), sort_keys=True).encode()).hexdigest()
+        return Origin(layout, digest, [[name, state.st_size, state.st_mtime_ns] for name, state in states])
+
+    def is_of_same_run(self, other: Origin) -> bool:
+        """Whether both are exports of one run in one format, which may have grown in the meantime."""
+        return (self.layout, self.run) == (other.layout, other.run)
 
 
 @dataclass(frozen=True)
@@ -43,21 +53,28 @@ class Exported:
     """What could not be exported, a phrase for each."""
 
 
-def read_exported(folder: Path) -> Exported | None:
-    """The record of an export that exists; `None` when nothing is there. What is no export is refused."""
+def read_exported(folder: Path, origin: Origin) -> Exported | None:
+    """The record of an earlier export of the same run; `None` when nothing is there. Anything else is refused."""
     # Also a link to nothing is something.
     if not os.path.lexists(folder):
         return None
     try:
         record = json.loads((folder / RECORD).read_text())
-        return Exported(Origin(**record["origin"]), list(record["left_out"]))
+        earlier = Exported(Origin(**record["origin"]), list(record["left_out"]))
     except (OSError, ValueError, KeyError, TypeError):
         raise TrainerError(f"{folder} is there already and is not overwritten; choose another --out") from None
+    if not earlier.origin.is_of_same_run(origin):
+        raise TrainerError(
+            f"{folder} is there already, of another run or in another format, and is not overwritten; choose another "
+            "--out"
+        )
+    return earlier
 
 
-def write_folder(to: Path, fill: Callable[[Path], Exported]) -> Exported:
-    """Creates the folder `to`, or replaces an earlier export: `fill` writes into a temporary folder beside it."""
-    earlier = read_exported(to)
+def write_folder(to: Path, origin: Origin, fill: Callable[[Path], Exported]) -> Exported:
+    """Creates the folder `to`, or replaces an earlier export of the same run: `fill` writes into a temporary folder
+    beside it."""
+    earlier = read_exported(to, origin)
     with _beside(to) as scratch:
         # The files of a bag have the name of its folder.
         partial = scratch / to.name

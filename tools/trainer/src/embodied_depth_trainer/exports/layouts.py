@@ -38,7 +38,7 @@ def export_run(layout: str, run: Run, to: Path) -> list[str]:
     write = exporter(layout)
     run.check_order()
     origin = Origin.of(layout, run)
-    earlier = read_exported(to)
+    earlier = read_exported(to, origin)
     if earlier is not None and earlier.origin == origin:
         print(f"{to}: exported before, and the run has not changed")
         return earlier.left_out
@@ -49,7 +49,7 @@ def export_run(layout: str, run: Run, to: Path) -> list[str]:
             said.append(write(run, partial, bar.update))
         return Exported(origin, left_out(run, said[0]))
 
-    exported = write_folder(to, fill)
+    exported = write_folder(to, origin, fill)
     print(f"{to}: {said[0].text}")
     for remark in [*said[0].remarks, *_missing(run)]:
         print(remark)
