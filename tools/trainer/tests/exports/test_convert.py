@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -209,6 +210,20 @@ def test_a_segment_that_is_being_written_is_named_as_such(tmp_path: Path, capsys
         fcntl.flock(recorder, fcntl.LOCK_EX)
         assert convert(tmp_path / "monday", tmp_path / "dataset") == 1
     assert "the rest of recording_0002.mcap, which is still being written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("layout", "package"), [("lerobot", "pyarrow"), ("ros2", "rosbags")])
+def test_a_missing_package_is_named_with_the_command_that_installs_it(
+    layout: str, package: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monday(tmp_path)
+    for module in [name for name in sys.modules if f"exports.{layout}" in name or name.split(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, package, None)
+    assert convert(tmp_path / "monday", tmp_path / "out", layout) == 1
+    said = capsys.readouterr().err
+    assert f"--as {layout} needs the package {package}" in said
+    assert "tools/trainer[exports]" in said
 
 
 def test_a_path_without_segments_is_refused(tmp_path: Path, capsys: Capture) -> None:
