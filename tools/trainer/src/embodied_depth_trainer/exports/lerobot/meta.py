@@ -59,8 +59,7 @@ def _feature(dtype: str, shape: list[int], names: list[str] | None) -> dict[str,
 
 def write_episodes(folder: Path, episodes: Sequence[Episode], task: str) -> None:
     """The table of episodes: where each one is in the data files."""
-    columns: dict[str, list[int]] = {
-        "episode_index": list(range(len(episodes))),
+    numbers: dict[str, list[int]] = {
         "length": [episode.end - episode.begin for episode in episodes],
         "data/chunk_index": [episode.place.chunk for episode in episodes],
         "data/file_index": [episode.place.file for episode in episodes],
@@ -72,8 +71,9 @@ def write_episodes(folder: Path, episodes: Sequence[Episode], task: str) -> None
     tasks = pa.array([[task]] * len(episodes), pa.list_(pa.field("element", pa.string(), nullable=False)))
     # Not part of LeRobot's format: the start on the run's clock, to find the episode in the recording.
     starts = pa.array([episode.start_s for episode in episodes], pa.float64())
-    numbers = {name: pa.array(values, pa.int64()) for name, values in columns.items()}
-    write_table(folder / EPISODE_FILE, {**numbers, "tasks": tasks, "start_time_s": starts})
+    columns = {"episode_index": pa.array(range(len(episodes)), pa.int64()), "tasks": tasks}
+    columns |= {name: pa.array(values, pa.int64()) for name, values in numbers.items()}
+    write_table(folder / EPISODE_FILE, {**columns, "start_time_s": starts})
 
 
 def write_tasks(folder: Path, task: str) -> None:
