@@ -678,13 +678,13 @@ pub enum ExportLayout {
     Mcap,
     /// One MCAP file for Foxglove and Rerun: with dates, and with everything in a form that both draw.
     Viewer,
-    /// A ROS 2 bag with images, calibration, scans, odometry and transforms.
-    Ros2,
     /// The format of the TUM RGB-D benchmark with localized poses of the camera, which `perceive --dataset` reads.
     Tum,
-    /// A LeRobot dataset, format 3.0: images, localized poses, measured velocities and sent commands in Parquet files.
-    ///
-    /// Only in a build with the feature `lerobot`, which the robot's package does not have.
+    /// Refused with the command that writes ROS 2 bags.
+    #[value(hide = true)]
+    Ros2,
+    /// Refused with the command that writes LeRobot datasets.
+    #[value(hide = true)]
     Lerobot,
 }
 

@@ -1,5 +1,4 @@
-//! The whole binary drives into walls on simulated devices: what its recording says was sent is what arrived at the motors, and with
-//! the feature `lerobot` also what the recording's export says.
+//! The whole binary drives into walls on simulated devices: what its recording says was sent is what arrived at the motors.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
@@ -21,6 +20,7 @@ use hal::{CameraModel, Clock, Twist2};
 use hil::world::{LiveOptions, LiveWorld};
 use monotonic_clock::MonotonicClock;
 use runtime::event::SafetyEvent;
+use runtime::recording::RecordedTick;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Long enough for a busy computer; an idle one needs a sixth of it.
@@ -102,57 +102,12 @@ fn trips(run: &Path) -> usize {
         .count()
 }
 
-/// The same run as a LeRobot dataset. `cargo xtask test` builds this.
-#[cfg(feature = "lerobot")]
-mod exported {
-    use std::fs::File;
-
-    use firmware_host::replay::segments;
-    use parquet::file::reader::{FileReader, SerializedFileReader};
-    use parquet::record::{Field, RowAccessor};
-    use runtime::recording::RecordedTick;
-    use segment_store::export::lerobot;
-
-    use super::*;
-
-    /// A longer time between two frames ends an episode, as `segment_store::export::lerobot` says.
-    const BREAK_NS: u64 = 1_000_000_000;
-    /// The column `action`.
-    const ACTION: usize = 2;
-
-    pub fn assert_actions_are_what_was_sent(run: &Path) {
-        let dataset = run.with_file_name("dataset");
-        lerobot(&segments(run).unwrap(), &dataset).unwrap();
-        let actions = actions(&dataset.join("data/chunk-000/file-000.parquet"));
-        let ticks: Vec<_> = Recorded::open(run).unwrap().ticks().map(Result::unwrap).collect();
-        let sent: Vec<_> = ticks.windows(2).filter_map(answer).collect();
-        assert_eq!(actions, sent);
-        let drives = actions.iter().position(|[linear_mps, _]| *linear_mps > 0.2).unwrap();
-        let after = &actions[drives..];
-        assert!(after.contains(&[0.0; 2]), "the dataset has no stop");
-        assert!(after.iter().any(|action| action[0] < -0.01), "the dataset has no back-off");
-    }
-
-    /// The command that answered the frame of a tick: the newest one that was sent when the next tick began.
-    fn answer(ticks: &[RecordedTick]) -> Option<[f32; 2]> {
-        let [tick, next] = ticks else { return None };
-        let is_next = next.tick == tick.tick + 1 && next.time_ns - tick.time_ns <= BREAK_NS;
-        let sent = next.safety.sent.last().filter(|_| is_next && tick.frame.is_some())?;
-        Some([sent.linear_mps as f32, sent.angular_radps as f32])
-    }
-
-    fn actions(table: &Path) -> Vec<[f32; 2]> {
-        let table = SerializedFileReader::new(File::open(table).unwrap()).unwrap();
-        let rows = table.get_row_iter(None).unwrap().map(Result::unwrap);
-        rows.map(|row| {
-            let [Field::Float(linear_mps), Field::Float(angular_radps)] =
-                *row.get_list(ACTION).unwrap().elements()
-            else {
-                panic!("not two numbers: {row}")
-            };
-            [linear_mps, angular_radps]
-        })
-        .collect()
+/// Exports take what was sent from the decision of the next tick: it is the newest command of the safety loop's whole list.
+fn assert_decisions_hold_the_newest(ticks: &[RecordedTick]) {
+    for tick in ticks {
+        let decision = tick.decision.as_ref().unwrap();
+        let newest = tick.safety.sent.last().map(|sent| sent.command());
+        assert_eq!(decision.sent, newest, "tick {}", tick.tick);
     }
 }
 
@@ -203,9 +158,10 @@ fn the_recording_of_a_drive_into_walls_holds_every_velocity_that_the_motors_rece
 
     assert!(trips(&out) >= 2);
     let recorded = Recorded::open(&out).unwrap();
-    let ticks = recorded.ticks().map(Result::unwrap);
+    let ticks: Vec<_> = recorded.ticks().map(Result::unwrap).collect();
+    assert_decisions_hold_the_newest(&ticks);
     let sent: Vec<Twist2> =
-        ticks.flat_map(|tick| tick.safety.sent).map(|sent| sent.command().into()).collect();
+        ticks.iter().flat_map(|tick| &tick.safety.sent).map(|sent| sent.command().into()).collect();
     let sent = runs(&sent);
     let backwards = sent.iter().filter(|(velocity, _)| velocity.linear_mps < -0.01).count();
     assert!(backwards > 0, "the recording has no back-off");
@@ -214,6 +170,4 @@ fn the_recording_of_a_drive_into_walls_holds_every_velocity_that_the_motors_rece
     let driven = received.iter().rposition(|(velocity, _)| !is_same(velocity, &Twist2::ZERO));
     let driven = &received[..driven.unwrap_or_default()];
     assert_eq!(find_missing(driven, &sent), None, "at the motors, not in the recording");
-    #[cfg(feature = "lerobot")]
-    exported::assert_actions_are_what_was_sent(&out);
 }

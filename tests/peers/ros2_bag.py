@@ -1,11 +1,11 @@
-"""Compares a bag of `firmware-host buffer export --as ros2`, read by an independent reader (PyPI `rosbags`), with the
-recording as read by the `mcap` package: every message must have the same content, and all times must have moved by the same
-amount, because the bag has dates. Called by
-firmware-host/tests/ros2_peer.rs; manually:
+"""Compares a bag of `embodied-depth convert --as ros2` with the recording that it was made of. The bag is decoded by Foxglove's
+reader of ROS 2 (PyPI `mcap-ros2-support`), not by the library that wrote it (`rosbags`), and the recording by the `mcap` package:
+every message must have the same content, and all times must have moved by the same amount, because the bag has dates. `rosbags`
+must find the same messages by the bag's metadata. Called by tools/trainer/tests/exports/test_peers.py; manually, with the Python of
+the trainer (`pip install -e "tools/trainer[dev]"`):
 
-    python3 -m venv target/peers && target/peers/bin/pip install -r tests/peers/requirements.txt
-    target/peers/bin/python tests/peers/ros2_bag.py BAG RECORDING.mcap...
-    target/peers/bin/python tests/peers/ros2_bag.py --picture bag.png BAG    # needs matplotlib as well
+    python tests/peers/ros2_bag.py BAG RECORDING.mcap...
+    python tests/peers/ros2_bag.py --picture bag.png BAG    # needs matplotlib as well
 """
 
 import argparse
@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from mcap_ros2.decoder import DecoderFactory as RosDecoderFactory
 from PIL import Image
 from rosbags.highlevel import AnyReader
 
@@ -73,9 +74,13 @@ def same_time(header, recorded_ns):
     OFFSETS_NS.add(time_ns(header) - recorded_ns)
 
 
+def pixels_of(image):
+    return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, 3)
+
+
 def same_image(image, of):
     rgb = np.asarray(Image.open(io.BytesIO(of.data)))
-    assert np.array_equal(image.data.reshape(image.height, image.width, 3), rgb)
+    assert np.array_equal(pixels_of(image), rgb)
     same_time(image.header, of.timestamp.ToNanoseconds())
 
 
@@ -85,10 +90,10 @@ def same_camera_info(info, of):
 
 
 def same_scan(scan, of):
-    ranges = scan.ranges.astype(np.float64)
+    ranges = np.asarray(scan.ranges)
     expected = np.asarray(of.ranges)
-    assert len(ranges) == len(expected) and scan.header.frame_id == of.frame_id
-    assert np.array_equal(ranges[np.isfinite(ranges)], expected[np.isfinite(ranges)])
+    assert scan.header.frame_id == of.frame_id
+    assert np.array_equal(ranges, expected, equal_nan=True)
     assert abs(scan.angle_max - of.end_angle) < 1e-6 and abs(scan.angle_min - of.start_angle) < 1e-6
     same_time(scan.header, of.timestamp.ToNanoseconds())
 
@@ -155,13 +160,18 @@ def compare(bag, recordings):
     for topic, source in TOPICS.items():
         assert counts[topic] == len(expected[source]), f"{counts[topic]} of {len(expected[source])} in {topic}"
     assert len(OFFSETS_NS) == 1, OFFSETS_NS
+    with AnyReader([bag]) as reader:
+        assert {connection.topic: connection.msgcount for connection in reader.connections} == counts
+        assert Counter(connection.topic for connection, *_ in reader.messages()) == counts
     print(json.dumps(counts))
 
 
 def messages_of(bag):
-    with AnyReader([bag]) as reader:
-        for connection, _, data in reader.messages():
-            yield connection.topic, reader.deserialize(data, connection.msgtype)
+    [file] = bag.glob("*.mcap")
+    with file.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[RosDecoderFactory()], validate_crcs=True)
+        for _, channel, _, message in reader.iter_decoded_messages():
+            yield channel.topic, message
 
 
 CELL_M = 0.05
@@ -187,11 +197,12 @@ class Path2d:
 
 def hits_of(scan, path, mount):
     """Hits of a scan in `odom`, metres, with the scanner where it was when the scan was taken."""
-    angles = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
-    near = np.isfinite(scan.ranges) & (scan.ranges < 8)
+    ranges = np.asarray(scan.ranges)
+    angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+    near = np.isfinite(ranges) & (ranges < 8)
     # The beam straight ahead is measured halfway through a revolution.
     x_m, y_m, yaw_rad = path.at(time_ns(scan.header) + int(scan.scan_time / 2 * 1e9))
-    in_base = scan.ranges[near] * np.array([np.cos(angles[near]), np.sin(angles[near])]) + mount
+    in_base = ranges[near] * np.array([np.cos(angles[near]), np.sin(angles[near])]) + mount
     rotation = np.array([[math.cos(yaw_rad), -math.sin(yaw_rad)], [math.sin(yaw_rad), math.cos(yaw_rad)]])
     return rotation @ in_base + np.array([[x_m], [y_m]])
 
@@ -219,7 +230,7 @@ def plot(bag, file):
     for row, at in enumerate([0, len(images) // 2, len(images) - 1]):
         image = images[at]
         axes = figure.add_subplot(grid[row, 0])
-        axes.imshow(image.data.reshape(image.height, image.width, 3))
+        axes.imshow(pixels_of(image))
         axes.set_title(f"/camera/image at {(time_ns(image.header) - begin_ns) * 1e-9:.1f} s")
         axes.axis("off")
     axes = figure.add_subplot(

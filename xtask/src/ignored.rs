@@ -24,7 +24,7 @@ struct Needing {
     is_in_ci: bool,
 }
 
-const ALL: [Needing; 3] = [
+const ALL: [Needing; 2] = [
     Needing {
         step: "tests in a browser",
         filter: "binary(live)&test(browser::)-test(screenshots_for_the_documentation)",
@@ -43,14 +43,6 @@ const ALL: [Needing; 3] = [
             is_set("EMBODIED_DEPTH_DATA") || paths::root().join("../shared/data/scenes").is_dir()
         },
         missing: "they are not part of the project; EMBODIED_DEPTH_DATA names the folder that holds `scenes`",
-        is_in_ci: false,
-    },
-    Needing {
-        step: "tests beside LeRobot",
-        filter: "test(lerobots_own_class)",
-        name: "lerobots_own_class",
-        is_there: || is_set("LEROBOT_PYTHON"),
-        missing: "LEROBOT_PYTHON names no Python with the packages lerobot and mcap",
         is_in_ci: false,
     },
 ];

@@ -26,7 +26,7 @@ const NO_SMALL_BUILD: &str = "`cargo xtask test --all` checks that it compiles";
 const NO_SITE: &str = "its links are checked by a test; `cargo xtask docs` builds it";
 
 /// What is built, once for all steps: the workspace with the features that are off by default.
-const TESTED: &str = "--workspace --features segment-store/lerobot,pull-buffer/object-store,pull-buffer/lerobot,firmware-host/lerobot --locked";
+const TESTED: &str = "--workspace --features pull-buffer/object-store --locked";
 
 /// `cargo build` with the features and lints of the tests, so that what they built is not built again.
 ///
@@ -75,7 +75,7 @@ pub fn run(all: bool) -> Result<()> {
     };
     let beside_peers = match has_nextest {
         true => format!(
-            "nextest run {TESTED} --run-ignored only -E not(test(lerobots_own_class)|test(shared_scenes)|package(pull-buffer)|package(push-model)|binary(live))"
+            "nextest run {TESTED} --run-ignored only -E not(test(shared_scenes)|package(pull-buffer)|package(push-model)|binary(live))"
         ),
         false => {
             format!("test {TESTED} --tests -- --ignored {NO_MEASUREMENTS} {}", ignored::skipped())

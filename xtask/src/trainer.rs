@@ -7,6 +7,9 @@ use anyhow::Result;
 
 use crate::{command, paths, python};
 
+/// Imports the packages of the tests that were added last.
+const NEWEST_PACKAGES: &str = "import xdist, pyarrow, rosbags, mcap_ros2";
+
 /// Whether the trainer is installed.
 pub fn is_installed() -> bool {
     command::works(command::program(environment().join("bin/embodied-depth")).arg("--help"))
@@ -26,8 +29,8 @@ pub fn install() -> Result<PathBuf> {
         );
         python::environment(&environment)?;
     }
-    // An environment of an earlier version lacks pytest-xdist, and keeps its PyTorch.
-    if !command::works(command::program(&python).args(["-c", "import xdist"])) {
+    // An environment of an earlier version lacks some packages, and keeps its PyTorch.
+    if !command::works(command::program(&python).args(["-c", NEWEST_PACKAGES])) {
         let mut pip = command::program(&python);
         pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--editable"]);
         command::run(pip.arg(format!("{}[dev]", paths::root().join("tools/trainer").display())))?;

@@ -203,20 +203,6 @@ fn export_as(layout: ExportLayout, files: &[PathBuf], out: &Path) -> Result<Dama
             tell_date(done.dated);
             Ok(Damage { chunks: done.bad_chunks, messages: done.unreadable, cut: done.cut })
         }
-        ExportLayout::Ros2 => {
-            let done = export::ros2(files, out)?;
-            println!(
-                "{}: {} messages, of these {} images, {} scans and {} maps; {} ticks had no pose",
-                out.display(),
-                done.messages,
-                done.images,
-                done.scans,
-                done.maps,
-                done.without_pose
-            );
-            tell_date(done.dated);
-            Ok(Damage::cut(done.cut))
-        }
         ExportLayout::Tum => {
             let done = export::tum(files, out)?;
             println!(
@@ -227,23 +213,17 @@ fn export_as(layout: ExportLayout, files: &[PathBuf], out: &Path) -> Result<Dama
             );
             Ok(Damage::cut(done.cut))
         }
-        #[cfg(feature = "lerobot")]
-        ExportLayout::Lerobot => {
-            let done = export::lerobot(files, out)?;
-            println!(
-                "{}: {} episodes, {} images, {} left out without odometry or a command",
-                out.display(),
-                done.episodes,
-                done.frames,
-                done.left_out
-            );
-            Ok(Damage::cut(done.cut))
-        }
-        #[cfg(not(feature = "lerobot"))]
-        ExportLayout::Lerobot => bail!(
-            "this build has no LeRobot export: `cargo install --path firmware-host --features lerobot` on the workstation has it"
-        ),
+        ExportLayout::Ros2 => bail!(of_trainer("ros2")),
+        ExportLayout::Lerobot => bail!(of_trainer("lerobot")),
     }
+}
+
+/// Names the command that writes a format whose libraries are Python's.
+fn of_trainer(format: &str) -> String {
+    format!(
+        "the trainer writes this format on the workstation: `embodied-depth convert RUN --as {format} --out DIR` \
+         (`pip install -e \"tools/trainer[exports]\"` in the checkout)"
+    )
 }
 
 /// Says where the dates of an export are from, if not from the recording.
@@ -312,7 +292,7 @@ mod tests {
     const ALL: [(ExportLayout, &str); 3] = [
         (ExportLayout::Mcap, "mcap"),
         (ExportLayout::Viewer, "viewer"),
-        (ExportLayout::Ros2, "bag"),
+        (ExportLayout::Tum, "tum"),
     ];
 
     #[test]
@@ -337,6 +317,18 @@ mod tests {
         }
         let alone = segments(&path_of(&run, 1)).unwrap_err().to_string();
         assert_eq!(alone, told);
+    }
+
+    #[test]
+    fn formats_that_the_trainer_writes_are_refused_with_its_command() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = run_of_four(dir.path());
+        for (layout, name) in [(ExportLayout::Ros2, "ros2"), (ExportLayout::Lerobot, "lerobot")] {
+            let said = exported(&run, layout, "out").unwrap_err().to_string();
+            let command = format!("`embodied-depth convert RUN --as {name} --out DIR`");
+            assert!(said.contains(&command), "{said}");
+            assert!(!dir.path().join("out").exists());
+        }
     }
 
     #[test]

@@ -133,9 +133,8 @@ enum OrderArg {
 pub enum Layout {
     /// The format of the TUM RGB-D benchmark, with localized poses of the camera.
     Tum,
-    /// A LeRobot dataset, format 3.0: images, localized poses, measured velocities and sent commands in Parquet files.
-    ///
-    /// Only in a build with the feature `lerobot`.
+    /// Refused with the command that writes LeRobot datasets.
+    #[value(hide = true)]
     Lerobot,
 }
 
@@ -181,15 +180,15 @@ mod tests {
     }
 
     #[test]
-    fn lerobot_is_refused_before_the_pull_by_a_build_that_cannot_write_it() {
+    fn lerobot_is_refused_before_the_pull_with_the_command_that_writes_it() {
         let options = Options::parse_from(["pull-buffer", "a:/x", "here", "--as", "lerobot"]);
-        let checked = options.layout.map(Layout::check);
-        if cfg!(feature = "lerobot") {
-            assert!(matches!(checked, Some(Ok(()))));
-        } else {
-            let Some(Err(error)) = checked else { panic!("it is not refused") };
-            assert!(error.to_string().contains("--features lerobot"), "{error}");
-        }
+        let Some(Err(error)) = options.layout.map(Layout::check) else {
+            panic!("it is not refused")
+        };
+        let command = "`embodied-depth convert DEST/NAME --as lerobot --out DIR`";
+        assert!(error.to_string().contains(command), "{error}");
+        let options = Options::parse_from(["pull-buffer", "a:/x", "here", "--as", "tum"]);
+        assert!(matches!(options.layout.map(Layout::check), Some(Ok(()))));
     }
 
     #[test]

@@ -179,22 +179,22 @@ impl Layout {
         }
     }
 
-    /// Whether this build can export it.
+    /// Refuses the format whose libraries are Python's, with the command of the trainer that writes it.
     pub fn check(self) -> Result<(), StoreError> {
-        if self == Self::Lerobot && !cfg!(feature = "lerobot") {
-            let text = "this build has no LeRobot export: `cargo install --path tools/pull-buffer --features lerobot` has it";
-            return Err(StoreError::Usage(text.to_owned()));
+        match self {
+            Self::Tum => Ok(()),
+            Self::Lerobot => Err(StoreError::Usage(
+                "the trainer writes LeRobot datasets: pull without --as, then run `embodied-depth convert DEST/NAME --as lerobot \
+                 --out DIR` (`pip install -e \"tools/trainer[exports]\"` in the checkout)"
+                    .to_owned(),
+            )),
         }
-        Ok(())
     }
 
     /// Exports a run. Returns the number of its images.
     fn export(self, segments: &[PathBuf], to: &Path) -> Result<u64, StoreError> {
         match self {
             Self::Tum => segment_store::export::tum(segments, to).map(|done| done.images),
-            #[cfg(feature = "lerobot")]
-            Self::Lerobot => segment_store::export::lerobot(segments, to).map(|done| done.frames),
-            #[cfg(not(feature = "lerobot"))]
             Self::Lerobot => self.check().map(|()| 0),
         }
     }

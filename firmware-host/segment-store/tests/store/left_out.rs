@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::common::{CHUNK_TICKS, robot, segment};
 use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
-use segment_store::export::{mcap, ros2, tum, viewer};
+use segment_store::export::{mcap, tum, viewer};
 use segment_store::{Catalogue, ErrorKind, StoreError, recover_file};
 
 /// The three segments of the run `monday`: 30, 30 and 20 ticks.
@@ -124,12 +124,11 @@ fn an_export_counts_cut_segments_and_damaged_chunks() {
     assert_eq!((done.cut, done.bad_chunks), (1, 1));
 }
 
-/// All exports that need no feature, into outputs that do not exist.
+/// All exports, into outputs that do not exist.
 fn all_exports(segments: &[PathBuf], dir: &Path) -> Vec<Result<(), StoreError>> {
     vec![
         mcap(segments, &dir.join("out.mcap")).map(drop),
         viewer(segments, &dir.join("viewer.mcap")).map(drop),
-        ros2(segments, &dir.join("bag")).map(drop),
         tum(segments, &dir.join("tum")).map(drop),
     ]
 }

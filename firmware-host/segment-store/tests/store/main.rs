@@ -13,10 +13,7 @@ mod cuts;
 mod disks;
 mod hostile;
 mod left_out;
-#[cfg(feature = "lerobot")]
-mod lerobot;
 mod links;
 mod pulling;
-mod ros2;
 mod signed;
 mod viewer;

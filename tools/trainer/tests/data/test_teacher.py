@@ -16,7 +16,8 @@ from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.data.alignment import align
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.labels import CELL, labels
-from embodied_depth_trainer.data.teacher import MEAN, STD, Teacher, TeacherOptions, teach
+from embodied_depth_trainer.data.teacher import Teacher, teach
+from embodied_depth_trainer.data.teacher_options import MEAN, STD, TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.dataset import open_dataset
 from embodied_depth_trainer.store.store import Store

@@ -3,100 +3,83 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from embodied_depth_trainer.commands import (
-    calibrate,
-    catalogue,
-    evaluate,
-    experiment,
-    export,
-    fleet,
-    jobs,
-    loop,
-    make_default,
-    prepare,
-    provenance,
-    results,
-    train,
-    watch,
-)
+from embodied_depth_trainer.commands import experiment
 from embodied_depth_trainer.errors import TrainerError
 
-# Name, module function that adds the options, function that runs the command, and a line of help.
-COMMANDS = (
-    ("export-flow", export.add_flow, export.run_flow, "export RAFT as an ONNX file for the robot's FlowNetwork"),
-    (
-        "export-depth",
-        export.add_depth,
-        export.run_depth,
+
+@dataclass(frozen=True)
+class Command:
+    """A subcommand. Its module is imported when it is used, because many of them need PyTorch, which takes seconds."""
+
+    module: str
+    """In this package."""
+    add: str
+    """The module's function that adds the options."""
+    run: str
+    """The module's function that runs the command."""
+    help: str
+
+    def add_options(self, command: argparse.ArgumentParser) -> None:
+        module: Any = importlib.import_module(f"embodied_depth_trainer.commands.{self.module}")
+        add: Callable[[argparse.ArgumentParser], None] = getattr(module, self.add)
+        add(command)
+        command.set_defaults(run_command=getattr(module, self.run))
+
+
+def _command(module: str, help_text: str, name: str | None = None, run: str | None = None) -> Command:
+    name = name or module
+    return Command(module, f"add_{name}", run or f"run_{name}", help_text)
+
+
+COMMANDS = {
+    "export-flow": _command("export", "export RAFT as an ONNX file for the robot's FlowNetwork", "flow"),
+    "export-depth": _command(
+        "export",
         "export a depth network with given or random weights as an ONNX file for the robot's DepthNetwork",
+        "depth",
     ),
-    (
-        "prepare",
-        prepare.add_prepare,
-        prepare.run_prepare,
-        "make of recordings what trainings read: frames, coarse depth, poses and labels of each segment",
+    "prepare": _command(
+        "prepare", "make of recordings what trainings read: frames, coarse depth, poses and labels of each segment"
     ),
-    (
-        "catalogue",
-        catalogue.add_catalogue,
-        catalogue.run_catalogue,
-        "answer questions about the segments of a store in SQL, freeze sets of them, and draw them",
+    "catalogue": _command(
+        "catalogue", "answer questions about the segments of a store in SQL, freeze sets of them, and draw them"
     ),
-    ("train", train.add_train, train.run_train, "train a depth network on recordings, without a depth sensor"),
-    (
-        "loop",
-        loop.add_loop,
-        loop.run_loop_command,
-        "alternate exploration and training in one scene (algorithm 1 of the paper)",
+    "convert": _command("convert", "write recorded runs as LeRobot datasets or ROS 2 bags"),
+    "train": _command("train", "train a depth network on recordings, without a depth sensor"),
+    "loop": _command(
+        "loop", "alternate exploration and training in one scene (algorithm 1 of the paper)", run="run_loop_command"
     ),
-    (
-        "fleet",
-        fleet.add_fleet,
-        fleet.run_fleet,
-        "train one network per policy and architecture on recordings of many homes",
+    "fleet": _command("fleet", "train one network per policy and architecture on recordings of many homes"),
+    "jobs": _command("jobs", "print a job file: every network x policy x scene x seed", run="run_jobs_command"),
+    "results": _command("results", "make the tables and figures of a study"),
+    "evaluate": _command("evaluate", "measure a trained network beside simple baselines"),
+    "make-default": _command(
+        "make_default", "make the robot's default network: explore, label, train, calibrate, export"
     ),
-    ("jobs", jobs.add_jobs, jobs.run_jobs_command, "print a job file: every network x policy x scene x seed"),
-    ("results", results.add_results, results.run_results, "make the tables and figures of a study"),
-    ("evaluate", evaluate.add_evaluate, evaluate.run_evaluate, "measure a trained network beside simple baselines"),
-    (
-        "make-default",
-        make_default.add_make_default,
-        make_default.run_make_default,
-        "make the robot's default network: explore, label, train, calibrate, export",
+    "calibrate": _command(
+        "calibrate", "calibrate the confidence of an exported student on homes that it was not trained on"
     ),
-    (
-        "calibrate",
-        calibrate.add_calibrate,
-        calibrate.run_calibrate,
-        "calibrate the confidence of an exported student on homes that it was not trained on",
-    ),
-    (
-        "watch",
-        watch.add_watch,
-        watch.run_watch,
-        "train on recordings as pull-buffer brings them, and pass each network to a command",
-    ),
-    (
-        "provenance",
-        provenance.add_provenance,
-        provenance.run_provenance,
-        "say what a model was trained on, from which weights and for how many steps",
-    ),
-    ("export", export.add_export, export.run_export, "export a trained network as an ONNX file for the robot"),
-)
+    "watch": _command("watch", "train on recordings as pull-buffer brings them, and pass each network to a command"),
+    "provenance": _command("provenance", "say what a model was trained on, from which weights and for how many steps"),
+    "export": _command("export", "export a trained network as an ONNX file for the robot"),
+}
 
 
-def parser() -> argparse.ArgumentParser:
+def parser(chosen: str | None) -> argparse.ArgumentParser:
+    """All commands, with the options of the chosen one."""
     top = argparse.ArgumentParser(prog="embodied-depth", description=__doc__)
     commands = top.add_subparsers(dest="command", required=True)
-    for name, add_options, run, help_text in COMMANDS:
-        command = commands.add_parser(name, help=help_text, description=help_text)
-        add_options(command)
-        command.set_defaults(run_command=run)
+    for name, command in COMMANDS.items():
+        added = commands.add_parser(name, help=command.help, description=command.help)
+        if name == chosen:
+            command.add_options(added)
     return top
 
 
@@ -110,7 +93,8 @@ def with_experiment(arguments: Sequence[str]) -> Sequence[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     try:
-        options = parser().parse_args(with_experiment(sys.argv[1:] if arguments is None else arguments))
+        typed = sys.argv[1:] if arguments is None else arguments
+        options = parser(typed[0] if typed else None).parse_args(with_experiment(typed))
         options.run_command(options)
     except TrainerError as problem:
         print(f"error: {problem}", file=sys.stderr)

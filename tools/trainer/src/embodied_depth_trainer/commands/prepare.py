@@ -17,7 +17,8 @@ from embodied_depth_trainer.commands.arguments import (
     with_absolute_paths,
 )
 from embodied_depth_trainer.data.past_frames import GAP, PastFrames
-from embodied_depth_trainer.data.teacher import MEAN, MULTIPLE, STD, Teacher, TeacherOptions
+from embodied_depth_trainer.data.teacher import Teacher
+from embodied_depth_trainer.data.teacher_options import MEAN, MULTIPLE, STD, TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.prepare import Tools, prepare, prune, remove_damaged
 from embodied_depth_trainer.store.recipe import Coarse, Recipe, engine_of

@@ -3,36 +3,33 @@
 from __future__ import annotations
 
 import json
-import re
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import torch
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
-from mcap_protobuf.decoder import DecoderFactory
 from numpy.typing import NDArray
 from torchvision.io import ImageReadMode, decode_png
 
 from embodied_depth_trainer.data.frames import Frames, Intrinsics
 from embodied_depth_trainer.data.held_out import is_held_out
 from embodied_depth_trainer.data.lidar_line import MAX_APART_NS, Scan, line
+from embodied_depth_trainer.data.messages import (
+    DECISION,
+    FORMAT_VERSION,
+    HEADER,
+    IMAGE,
+    SCAN,
+    TICK,
+    TRUTH,
+    BrokenError,
+    Decoder,
+    messages,
+    segments,
+)
 from embodied_depth_trainer.errors import TrainerError
-
-# The recording format of the robot's program (`FORMAT_VERSION` in runtime/src/recording/header.rs).
-FORMAT_VERSION = 2
-HEADER = "/robot/header"
-TICK = "/robot/tick"
-DECISION = "/robot/decision"
-SCAN = "/scan"
-IMAGE = "/camera/image"
-TRUTH = "/camera/truth_depth"
-# No chunk that the robot writes is nearly this large; a corrupt length must not exhaust the memory.
-MAX_RECORD_BYTES = 256 << 20
 
 
 class CompressedImage(Protocol):
@@ -56,10 +53,6 @@ class RawImage(Protocol):
     data: bytes
 
 
-# The names of segments, as a regular expression.
-SEGMENT_NAME = r"recording_\d{4,}\.mcap"
-
-
 @dataclass
 class Damage:
     """Segments that end in damage, and why. Everything before the damage is kept: a power cut costs the last chunk
@@ -72,23 +65,6 @@ class Damage:
         return f"{len(self.segments)} damaged segments, read up to the damage: {names}"
 
 
-class _BrokenError(Exception):
-    """The segment cannot be read any further."""
-
-
-def segments(path: Path) -> list[Path]:
-    """The segments of a run's directory in their order, or the single .mcap file itself."""
-    if path.is_file():
-        return [path]
-    if not path.is_dir():
-        raise TrainerError(f"{path} does not exist; give the --out directory of a run or one .mcap file")
-    found = [file for file in path.iterdir() if re.fullmatch(SEGMENT_NAME, file.name)]
-    if not found:
-        raise TrainerError(f"{path} holds no recording_NNNN.mcap; give the --out directory of a run or one .mcap file")
-    # By length first: segment 10000 comes after segment 9999.
-    return sorted(found, key=lambda file: (len(file.name), file.name))
-
-
 def read_recording(path: Path) -> tuple[Frames, Damage]:
     """All frames of a run with their localized poses, `t_odom_camera`."""
     damage = Damage()
@@ -96,7 +72,7 @@ def read_recording(path: Path) -> tuple[Frames, Damage]:
     for file in segments(path):
         try:
             reader.read(file)
-        except _BrokenError as problem:
+        except BrokenError as problem:
             damage.segments[file.name] = str(problem)
     return reader.frames(path, damage), damage
 
@@ -121,7 +97,7 @@ def read_segment(file: Path) -> Segment:
     reader = _Run(lidar=True)
     try:
         reader.read(file)
-    except _BrokenError as problem:
+    except BrokenError as problem:
         damage.segments[file.name] = str(problem)
     frames = reader.frames(file, damage)
     return Segment(frames, reader.header, dict(reader.events), damage.segments.get(file.name))
@@ -150,13 +126,13 @@ class _Run:
     def read(self, file: Path) -> None:
         t_base_camera = np.eye(4)
         tick: dict[str, Any] | None = None
-        decoder = DecoderFactory()
-        for schema, channel, message in _messages(file):
+        decoder = Decoder(file)
+        for schema, channel, message in messages(file):
             if channel.topic == HEADER:
                 t_base_camera = self._header(file, message.data)
                 continue
             if self.camera is None:
-                raise _BrokenError(f"it does not begin with {HEADER}")
+                raise BrokenError(f"it does not begin with {HEADER}")
             if channel.topic == TICK:
                 tick = json.loads(message.data)
             elif channel.topic == DECISION and tick is not None:
@@ -165,16 +141,12 @@ class _Run:
                 self._localize(file, tick, decision, t_base_camera)
             elif channel.topic in self.topics and tick is not None:
                 where = f"{file}: tick {tick['tick']}"
-                decode = decoder.decoder_for(channel.message_encoding, schema)
-                if decode is None:
-                    raise TrainerError(
-                        f"{file}: {channel.topic} is not protobuf; use the recording as the robot wrote it"
-                    )
+                content = decoder.decode(schema, channel, message)
                 if channel.topic == SCAN:
-                    self.scan = _scan(file, tick, decode(message.data))
+                    self.scan = _scan(file, tick, content)
                     self.t_odom_laser = _pose(*_planar(where, tick, "scan_odom")) @ self.t_base_laser
                 elif channel.topic == IMAGE:
-                    self.rgb.append(self._image(file, tick, decode(message.data)))
+                    self.rgb.append(self._image(file, tick, content))
                     x_m, y_m, yaw_rad = _planar(where, tick, "wheel")
                     self.t_wheels_base = _pose(x_m, y_m, yaw_rad)
                     self.poses.append(self.t_wheels_base @ t_base_camera)
@@ -182,7 +154,7 @@ class _Run:
                     self.times.append(int(tick["time_ns"]))
                     self.lines.append(self._line(self.t_wheels_base))
                 else:
-                    self.truth.append(_millimetres(file, tick, decode(message.data)))
+                    self.truth.append(_millimetres(file, tick, content))
 
     def _localize(
         self, file: Path, tick: dict[str, Any], decision: dict[str, Any], t_base_camera: NDArray[np.float64]
@@ -242,7 +214,7 @@ class _Run:
             coded = torch.frombuffer(bytearray(message.data), dtype=torch.uint8)
             image: NDArray[np.uint8] = decode_png(coded, ImageReadMode.RGB).permute(1, 2, 0).contiguous().numpy()
         except RuntimeError as problem:
-            raise _BrokenError(f"the image of tick {tick['tick']} is no PNG: {problem}") from problem
+            raise BrokenError(f"the image of tick {tick['tick']} is no PNG: {problem}") from problem
         if image.shape[:2] != (self.camera.height, self.camera.width):
             raise TrainerError(f"{file}: tick {tick['tick']} has an image of {image.shape[:2]} from {self.camera}")
         return image
@@ -260,30 +232,6 @@ class _Run:
         rgb = np.stack(self.rgb)
         poses = np.stack(self.poses)
         return Frames(self.camera, rgb, poses, times, run, truth, lidar=lidar, held_out=held_out)
-
-
-def _messages(file: Path) -> Iterator[tuple[Schema | None, Channel, Message]]:
-    """The messages in file order, each only after the CRC of its chunk was checked."""
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    try:
-        with file.open("rb") as stream:
-            reader = StreamReader(stream, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
-            for record in reader.records:
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    channels[record.id] = record
-                elif isinstance(record, Message) and record.channel_id in channels:
-                    channel = channels[record.channel_id]
-                    yield schemas.get(channel.schema_id), channel, record
-    except OSError as problem:
-        raise TrainerError(f"cannot read {file}: {problem}; check the file and its permissions") from problem
-    except (TrainerError, _BrokenError):
-        raise
-    except Exception as problem:
-        # Corrupt lengths make the reader raise many kinds of exceptions.
-        raise _BrokenError(f"{type(problem).__name__} {problem}".strip()) from problem
 
 
 def _planar(where: str, message: dict[str, Any], key: str) -> tuple[float, float, float]:
@@ -323,7 +271,7 @@ def _rigid(pose: dict[str, Any]) -> NDArray[np.float64]:
 def _scan(file: Path, tick: dict[str, Any], message: LaserScan) -> Scan:
     entry = tick.get("scan")
     if not entry or entry["beams"] != len(message.ranges):
-        raise _BrokenError(f"tick {tick['tick']} has {entry} for a scan with {len(message.ranges)} beams")
+        raise BrokenError(f"tick {tick['tick']} has {entry} for a scan with {len(message.ranges)} beams")
     return Scan.of(entry, message.ranges)
 
 

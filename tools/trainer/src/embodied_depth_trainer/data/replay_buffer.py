@@ -9,7 +9,8 @@ import numpy as np
 
 from embodied_depth_trainer.data.coarse_depth import with_coarse
 from embodied_depth_trainer.data.frames import Frames, join
-from embodied_depth_trainer.data.recording import read_recording, segments
+from embodied_depth_trainer.data.messages import segments
+from embodied_depth_trainer.data.recording import read_recording
 
 
 class ReplayBuffer:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import onnxruntime
@@ -23,32 +22,13 @@ from embodied_depth_trainer.data.alignment import align
 from embodied_depth_trainer.data.batches import FULL_CONFIDENCE
 from embodied_depth_trainer.data.frame_set import FrameSet
 from embodied_depth_trainer.data.labels import CELL, FARTHEST_M, NEAREST_M
+from embodied_depth_trainer.data.teacher_options import TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
 
-Output = Literal["inverse", "depth"]
-"""Whether a larger output is nearer (inverse depth, disparity) or farther (depth)."""
-
-# Mean and standard deviation of ImageNet's colours, with which these networks are trained.
-MEAN = (0.485, 0.456, 0.406)
-STD = (0.229, 0.224, 0.225)
-# Patch of a vision transformer (DINOv2 in Depth Anything); convolutional networks take multiples of 32.
-MULTIPLE = 14
 # A frame whose labels agree less with the teacher gets none of its depth: of those that disagree with a constant, which
 # can be few, at least this share must agree with the teacher, and of all labels at least this share.
 MIN_GAIN = 0.5
 MIN_AGREEING = 0.6
-
-
-@dataclass(frozen=True)
-class TeacherOptions:
-    """What the file itself does not say."""
-
-    output: Output = "inverse"
-    size: tuple[int, int] | None = None
-    """Rows, columns of the input; `None`: that of the file, or the frames' size rounded up to `multiple`."""
-    multiple: int = MULTIPLE
-    mean: tuple[float, float, float] = MEAN
-    std: tuple[float, float, float] = STD
 
 
 @dataclass(frozen=True)

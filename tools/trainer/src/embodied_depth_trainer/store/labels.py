@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from embodied_depth_trainer.data.frame_set import joined
 from embodied_depth_trainer.data.labels import EVERY, MAX_GAP, labels
-from embodied_depth_trainer.data.teacher import Teacher, TeacherOptions, teach
+from embodied_depth_trainer.data.teacher import Teacher, teach
+from embodied_depth_trainer.data.teacher_options import TeacherOptions
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError, FolderWriter
 from embodied_depth_trainer.store.dataset import open_shard
 from embodied_depth_trainer.store.manifest import Entry

@@ -12,7 +12,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from embodied_depth_trainer.cluster import LOCAL
-from embodied_depth_trainer.data.teacher import TeacherOptions
+from embodied_depth_trainer.data.teacher_options import TeacherOptions
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
 from embodied_depth_trainer.store.chain import breaks
 from embodied_depth_trainer.store.known_robots import KnownRobots

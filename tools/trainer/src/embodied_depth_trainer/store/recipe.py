@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from embodied_depth_trainer.data.past_frames import PastFrames
-from embodied_depth_trainer.data.teacher import TeacherOptions
+from embodied_depth_trainer.data.teacher_options import TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
 
 FORMAT_VERSION = 2

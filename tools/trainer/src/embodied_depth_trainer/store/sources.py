@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from embodied_depth_trainer.data.recording import SEGMENT_NAME, segments
+from embodied_depth_trainer.data.messages import SEGMENT_NAME, segments
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import process_name
 from embodied_depth_trainer.store.bucket import StoredObject, download, list_objects
