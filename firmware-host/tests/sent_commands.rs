@@ -21,6 +21,7 @@ use hil::world::{LiveOptions, LiveWorld};
 use monotonic_clock::MonotonicClock;
 use runtime::event::SafetyEvent;
 use runtime::recording::RecordedTick;
+use runtime::safety::SentCommand;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Long enough for a busy computer; an idle one needs a sixth of it.
@@ -106,7 +107,7 @@ fn trips(run: &Path) -> usize {
 fn assert_decisions_hold_the_newest(ticks: &[RecordedTick]) {
     for tick in ticks {
         let decision = tick.decision.as_ref().unwrap();
-        let newest = tick.safety.sent.last().map(|sent| sent.command());
+        let newest = tick.safety.sent.last().map(SentCommand::command);
         assert_eq!(decision.sent, newest, "tick {}", tick.tick);
     }
 }

@@ -111,6 +111,7 @@ impl Parameter {
                 needed_sigma: 0.02,
                 largest_change: 0.1,
                 key: None,
+                effect: "it changes every depth",
                 ..scale("focal length's scale", "")
             },
         }

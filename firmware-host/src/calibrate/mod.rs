@@ -48,6 +48,9 @@ pub use measure::{Measured, measure};
 
 /// The file that is written by default, beside the robot's configuration.
 const DEFAULT_FILE: &str = "calibration.toml";
+/// Below this change of the focal length there is no warning: in a simulated drive the check was off by 0.8 %, six times its stated standard
+/// deviation, and a calibration board is exact to some tenths of a per cent.
+const LEAST_FOCAL_CHANGE: f64 = 0.015;
 /// The wheels carry everything else: a drive that does not show them calibrates nothing.
 const ESSENTIAL: [Parameter; 3] = [Parameter::LeftRadius, Parameter::RightRadius, Parameter::Track];
 
@@ -147,7 +150,10 @@ fn print(findings: &[Finding], measured: &Measured) {
 /// The focal length is a check: it is corrected with a calibration board.
 fn warn_of_focal_length(findings: &[Finding]) {
     let focal = findings.iter().find(|finding| finding.parameter == Parameter::FocalLength);
-    if let Some(focal) = focal.filter(|focal| focal.verdict() == Verdict::Changed) {
+    let is_far_off = |focal: &&Finding| {
+        focal.verdict() == Verdict::Changed && (focal.new - focal.old).abs() > LEAST_FOCAL_CHANGE
+    };
+    if let Some(focal) = focal.filter(is_far_off) {
         println!(
             "warning: the configured focal length does not fit this drive; its true value is {:.3} +- {:.3} times that. Measure it with a \
              calibration board: set `devices.lens`, or `camera.horizontal_fov_deg` for a camera without distortion",
