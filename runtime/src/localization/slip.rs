@@ -13,9 +13,11 @@ const MOST_SHARE: f64 = 0.5;
 
 /// Wheels that spin report at least this share of what the scans take back.
 const SPIN_SHARE: f64 = 0.7;
-/// Wheels that report the wrong direction report about half of what the scans take back. The scans then move back by 0.67 to 1.5
-/// of what the wheels report.
-const REVERSED_SHARE: [f64; 2] = [0.4, 0.6];
+/// Wheels that report the wrong direction: in the newest scan the robot has moved back by this share of what they report.
+const REVERSED_SHARE: [f64; 2] = [0.5, 2.0];
+/// And not by less than this, metres and radians, which may be noise.
+const REVERSED_M: f64 = 0.01;
+const REVERSED_RAD: f64 = 0.015;
 
 /// How the wheels contradict the scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -78,10 +80,17 @@ impl Slip {
             is_beyond(self.more.yaw_rad.abs(), MOST_RAD, MOST_SHARE * self.wheels.yaw_rad.abs());
         let was_reported = self.is_reported;
         self.is_reported = shifted || rotated;
-        (self.is_reported && !was_reported).then(|| self.kind(shifted))
+        (self.is_reported && !was_reported).then(|| {
+            let is_reversed = if shifted {
+                are_reversed(wheels.x_m, scans.x_m, REVERSED_M)
+            } else {
+                are_reversed(wheels.yaw_rad, scans.yaw_rad, REVERSED_RAD)
+            };
+            if is_reversed { WheelError::Reversed } else { self.kind(shifted) }
+        })
     }
 
-    /// Wheels that spin report what the scans take back, and wheels that report the wrong direction half of it.
+    /// Wheels that spin report what the scans take back.
     fn kind(&self, shifted: bool) -> WheelError {
         let [wheels, more] = [self.wheels, self.more];
         let (reported, taken_back, size) = if shifted {
@@ -89,16 +98,16 @@ impl Slip {
         } else {
             (wheels.yaw_rad, -more.yaw_rad, more.yaw_rad.abs())
         };
-        let share = if reported * taken_back > 0.0 { reported.abs() / size } else { 0.0 };
-        let [least, most] = REVERSED_SHARE;
-        if share > SPIN_SHARE {
-            WheelError::Spin
-        } else if (least..=most).contains(&share) {
-            WheelError::Reversed
-        } else {
-            WheelError::Pushed
-        }
+        let spins = reported * taken_back > 0.0 && reported.abs() > SPIN_SHARE * size;
+        if spins { WheelError::Spin } else { WheelError::Pushed }
     }
+}
+
+/// Whether the newest scan moved about as far as the wheels report, the other way. The sums cannot tell: what was driven before is in
+/// them.
+fn are_reversed(wheels: f64, scans: f64, least: f64) -> bool {
+    let [from, to] = REVERSED_SHARE;
+    wheels * scans < 0.0 && scans.abs() > least && (from..=to).contains(&(scans / wheels).abs())
 }
 
 fn is_beyond(value: f64, bound: f64, other_bound: f64) -> bool {
@@ -146,6 +155,16 @@ mod tests {
         // Wheels that are a tenth too large do not hide it.
         let larger = Pose2::new(0.033, 0.0, 0.0);
         assert_eq!(reported(&larger, &ahead.inverse(), 30), [WheelError::Reversed]);
+        // What was driven before does not hide it either.
+        let mut slip = Slip::default();
+        let mut pose = Pose2::IDENTITY;
+        let mut errors = Vec::new();
+        for scan in 0..40 {
+            let predicted = pose.compose(&ahead);
+            pose = pose.compose(&if scan < 25 { ahead } else { ahead.inverse() });
+            errors.extend(slip.observe(&predicted, &pose));
+        }
+        assert_eq!(errors, [WheelError::Reversed]);
         // A robot that is pushed back faster than its wheels drive ahead.
         assert_eq!(reported(&ahead, &Pose2::new(-0.1, 0.0, 0.0), 30), [WheelError::Pushed]);
     }

@@ -42,10 +42,12 @@ impl Clock {
     pub const PLAIN: Self =
         Self { offset_s: 0.0, end_s: f64::INFINITY, nearest_s: None, forward_m: 0.0 };
 
-    /// The pose of the truth's frame at a time of the log, interpolated between scans.
+    /// The pose of the truth's frame at a time of the log. Lines of odometry lie between scans that are seconds apart.
     pub fn pose_in_log(&self, time_s: f64, trajectory: &Trajectory) -> Option<Pose2> {
-        let exact = || trajectory.nearest(time_s, 1e-6);
-        let pose = trajectory.between_scans(time_s).or_else(exact);
+        let pose = match self.nearest_s {
+            Some(_) => trajectory.nearest(time_s, NEAREST_LINE_S),
+            None => trajectory.between_scans(time_s).or_else(|| trajectory.nearest(time_s, 1e-6)),
+        };
         pose.map(|pose| pose.compose(&self.t_base_truth()))
     }
 
@@ -99,6 +101,9 @@ impl Relation {
         Ok(Self { times_s: [values[0], values[1]], motion })
     }
 }
+
+/// A line of the log this near says where the robot was when a loop's submap began, seconds.
+const NEAREST_LINE_S: f64 = 0.05;
 
 /// Means and standard deviations of the errors of relations.
 pub struct Errors {
