@@ -21,7 +21,8 @@ from embodied_depth_trainer.errors import TrainerError
 CHARUCO = "charuco"
 APRILGRID = "aprilgrid"
 KINDS = (CHARUCO, APRILGRID)
-# A board of 8 x 6 has 24 markers, so that a dictionary of 100 suffices; 5 x 5 bits are read from farther away than 6 x 6.
+# A board of 8 x 6 has 24 markers, so that a dictionary of 100 suffices; 5 x 5 bits are read from farther away than
+# 6 x 6.
 DICTIONARY = "DICT_5X5_100"
 APRILTAG = "DICT_APRILTAG_36h11"
 # A marker of this share of its square leaves a white border of an eighth of the square, which its detector needs.
@@ -127,7 +128,7 @@ class Board:
 
     def _tag_edges(self, count: int) -> Floats:
         index = np.arange(2 * count)
-        return self.square_mm * ((index // 2) * (1 + self.spacing) + index % 2)
+        return np.asarray(self.square_mm * ((index // 2) * (1 + self.spacing) + index % 2), np.float64)
 
     def tag_corners(self, tag: int) -> Indices:
         """Numbers of an AprilGrid tag's corners, counter-clockwise from the bottom left."""

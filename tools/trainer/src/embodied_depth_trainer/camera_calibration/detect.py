@@ -116,9 +116,7 @@ def _refined(cv2: Any, picture: Image, pixels: Floats, clearances: Floats) -> Fl
     return found
 
 
-def _view(
-    name: str, corners_mm: Floats, corners: Indices, pixels: Floats, picture: Image | None = None
-) -> View:
+def _view(name: str, corners_mm: Floats, corners: Indices, pixels: Floats, picture: Image | None = None) -> View:
     """The corners that were refined and are far enough from the edge, by their number."""
     good = np.isfinite(pixels).all(axis=1)
     if picture is not None:

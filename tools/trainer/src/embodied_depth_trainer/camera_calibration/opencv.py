@@ -12,9 +12,7 @@ def opencv() -> ModuleType:
     try:
         import cv2
     except ImportError:
-        raise TrainerError(
-            'calibrate-camera needs OpenCV: pip install -e "tools/trainer[calibrate-camera]"'
-        ) from None
+        raise TrainerError('calibrate-camera needs OpenCV: pip install -e "tools/trainer[calibrate-camera]"') from None
     if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):
         raise TrainerError(
             f"OpenCV {cv2.__version__} has no detector of ChArUco boards; install opencv-python-headless 4.8 or later"

@@ -27,7 +27,7 @@ class Poses:
 
     def normals(self) -> Floats:
         """The board's normal in the camera [v, 3]."""
-        return self.rotation[:, :, 2]
+        return np.asarray(self.rotation[:, :, 2], np.float64)
 
 
 def rotations(vectors: Floats) -> Floats:

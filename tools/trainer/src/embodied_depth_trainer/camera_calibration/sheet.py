@@ -79,7 +79,9 @@ def paper_mm(paper: str) -> tuple[float, float]:
 def draw(sheet: Sheet, suffix: str) -> bytes:
     """The sheet as a PDF, PNG or SVG file."""
     if suffix not in SUFFIXES:
-        raise TrainerError(f"a board cannot be written as `{suffix}`; give --out a name that ends in .pdf, .png or .svg")
+        raise TrainerError(
+            f"a board cannot be written as `{suffix}`; give --out a name that ends in .pdf, .png or .svg"
+        )
     figure = Figure((sheet.width_mm / 25.4, sheet.height_mm / 25.4))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, sheet.width_mm), ylim=(sheet.height_mm, 0))
@@ -97,8 +99,8 @@ def draw(sheet: Sheet, suffix: str) -> bytes:
 
 def _draw_board(axes: Axes, sheet: Sheet) -> None:
     """One path for all shapes, in which a hole's outline makes white."""
-    left, top = sheet.place_mm
-    outlines = [Outline(np.vstack([shape, shape[:1]]) + (left, top), closed=True) for shape in sheet.board.shapes_mm()]
+    place = np.array(sheet.place_mm)
+    outlines = [Outline(place + np.vstack([shape, shape[:1]]), closed=True) for shape in sheet.board.shapes_mm()]
     axes.add_patch(PathPatch(Outline.make_compound_path(*outlines), facecolor="black", edgecolor="none", linewidth=0))
 
 

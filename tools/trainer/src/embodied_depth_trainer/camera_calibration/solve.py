@@ -68,7 +68,7 @@ class _Normal:
 
 
 def _diagonals(matrices: Floats) -> Floats:
-    return matrices * np.eye(matrices.shape[-1])
+    return np.asarray(matrices * np.eye(matrices.shape[-1]), np.float64)
 
 
 def project(camera: Camera, poses: Poses, seen: Observations) -> Floats:
@@ -147,9 +147,7 @@ def _cost(camera: Camera, poses: Poses, seen: Observations, weights: Floats) -> 
     return total if np.isfinite(total) else np.inf
 
 
-def _step(
-    camera: Camera, poses: Poses, normal: _Normal, damping: float, free: Flags
-) -> tuple[Camera, Poses] | None:
+def _step(camera: Camera, poses: Poses, normal: _Normal, damping: float, free: Flags) -> tuple[Camera, Poses] | None:
     """The camera and the poses after one step, or None where the equations have no solution."""
     try:
         system, right, by_intrinsics, alone = normal.eliminated(damping)

@@ -91,7 +91,7 @@ def _difference(other: Camera, camera: Camera, rays: Floats, valid: Flags) -> Fl
         usable = valid & np.isfinite(found).all(axis=1)
         by_rotation = -by_rays[usable] @ cross_matrices(rotated[usable])
         step = np.linalg.lstsq(by_rotation.reshape(-1, 3), (pixels - found)[usable].ravel(), rcond=None)[0]
-        rotated = rotated @ rotations(step[None])[0].T
+        rotated = rotated @ rotations(np.asarray(step[None], np.float64))[0].T
     with np.errstate(all="ignore"):
         return other.project(rotated) - pixels
 

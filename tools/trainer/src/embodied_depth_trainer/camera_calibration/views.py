@@ -61,9 +61,7 @@ class Observations:
         number[order] = np.arange(len(order))
         kept = self.only(number[self.view] >= 0)
         names = tuple(self.names[index] for index in order)
-        return Observations(
-            names, self.width, self.height, number[kept.view], kept.corner, kept.points_mm, kept.pixels
-        )
+        return Observations(names, self.width, self.height, number[kept.view], kept.corner, kept.points_mm, kept.pixels)
 
 
 def table(views: Sequence[View], size: tuple[int, int]) -> Observations:

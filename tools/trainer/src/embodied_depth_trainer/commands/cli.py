@@ -9,6 +9,7 @@ from pathlib import Path
 
 from embodied_depth_trainer.commands import (
     calibrate,
+    calibrate_camera,
     catalogue,
     evaluate,
     experiment,
@@ -73,6 +74,12 @@ COMMANDS = (
         calibrate.add_calibrate,
         calibrate.run_calibrate,
         "calibrate the confidence of an exported student on homes that it was not trained on",
+    ),
+    (
+        "calibrate-camera",
+        calibrate_camera.add_calibrate_camera,
+        calibrate_camera.run_calibrate_camera,
+        "measure the camera's intrinsics with a printed board, or take over those of ROS or Kalibr",
     ),
     (
         "watch",
