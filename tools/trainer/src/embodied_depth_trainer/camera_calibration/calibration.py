@@ -54,6 +54,12 @@ class Calibration:
         return np.asarray(deviations)
 
     @property
+    def better_model(self) -> str | None:
+        """The model that predicts unseen views clearly better than this one."""
+        best = min(MODELS, key=lambda name: self.held_out_px[name])
+        return best if self.held_out_px[best] < CLEARLY_BETTER * self.held_out_px[self.camera.model] else None
+
+    @property
     def warnings(self) -> list[str]:
         return _warnings(self)
 
@@ -77,7 +83,7 @@ def calibrate(seen: Observations, model: str = AUTO, limits: Limits | None = Non
     own = validated[chosen] if np.array_equal(found.used, used) else cross_validate(found, found.used)
     camera = found.solution.camera
     calibration = Calibration(found, own, errors, choice, uncertainty.projected(found), own.differences(camera))
-    checks.require_certainty(camera, calibration.deviations, bounds)
+    checks.require_certainty(camera, calibration.deviations, calibration.better_model)
     return calibration
 
 
@@ -109,9 +115,8 @@ def _warnings(found: Calibration) -> list[str]:
             "the standard deviations are enlarged by that. The model does not fit the lens, the board is bent, or it "
             "moved: put the board on glass, hold it still, or try the other --model"
         )
-    other = min((name for name in MODELS if name != camera.model), key=lambda name: found.held_out_px[name])
-    if found.held_out_px[other] < CLEARLY_BETTER * found.held_out_px[camera.model]:
-        warnings.append(f"--model {other} predicts views that it has not seen better; leave --model out")
+    if found.better_model is not None:
+        warnings.append(f"--model {found.better_model} predicts views that it has not seen better; leave --model out")
     lacking = float(np.mean(~np.isfinite(found.projected)))
     if lacking > 0:
         warnings.append(

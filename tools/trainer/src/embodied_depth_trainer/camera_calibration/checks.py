@@ -100,10 +100,16 @@ def tilt_deg(found: Fit) -> float:
     return float(np.percentile(angles, TILT_PERCENTILE))
 
 
-def require_certainty(camera: Camera, deviations: Floats, limits: Limits) -> None:
+def require_certainty(camera: Camera, deviations: Floats, better: str | None) -> None:
+    """`better` names a model that predicts unseen views better than the one that was asked for."""
     focal = camera.values[:2]
     uncertain = float(np.max(deviations[:2] / focal))
     if not uncertain <= LARGEST_FOCAL_DEVIATION:
+        if better is not None:
+            raise TrainerError(
+                f"the model {camera.model} does not fit this lens (focal length uncertain by {uncertain:.1%}); leave "
+                f"--model out, or give --model {better}"
+            )
         raise TrainerError(
             f"the focal length is uncertain by {uncertain:.1%}, above {LARGEST_FOCAL_DEVIATION:.0%}; {TILT_ADVICE}, "
             "and take more pictures with a larger board"

@@ -95,7 +95,7 @@ def _maps(figure: Figure, axes: Floats, found: Calibration) -> None:
     """Both maps with one scale of colours, so that a glance shows whether they agree."""
     values = np.concatenate([found.projected.ravel(), found.crossed.ravel()])
     finite = values[np.isfinite(values)]
-    top = _ceiling(float(np.percentile(finite, 98)) if len(finite) else 1.0)
+    top = _ceiling(float(np.percentile(finite, 95)) if len(finite) else 1.0)
     titles = ("uncertainty from the noise of the corners", "cross-validation: calibrations without some views")
     shown: AxesImage | None = None
     for axis, values, title in zip(axes, (found.projected, found.crossed), titles, strict=True):

@@ -27,7 +27,8 @@ class Poses:
 
     def normals(self) -> Floats:
         """The board's normal in the camera [v, 3]."""
-        return np.asarray(self.rotation[:, :, 2], np.float64)
+        normals: Floats = self.rotation[:, :, 2]
+        return normals
 
 
 def rotations(vectors: Floats) -> Floats:

@@ -32,8 +32,8 @@ def lines(found: Calibration) -> list[str]:
     said = [f"left out {name}: its corners do not fit the other views" for name in found.fit.outlier_views()]
     said += _outliers(found)
     said += [
-        f"{found.fit.views} views with {len(seen.view)} corners, rms of the residuals {found.fit.rms_px:.3f} px; corners "
-        "in each part of the image:",
+        f"{found.fit.views} views with {len(seen.view)} corners, rms of the residuals {found.fit.rms_px:.3f} px; "
+        "corners in each part of the image:",
         coverage.picture(counts),
         found.choice,
         *_parameters(found),

@@ -68,7 +68,8 @@ class _Normal:
 
 
 def _diagonals(matrices: Floats) -> Floats:
-    return np.asarray(matrices * np.eye(matrices.shape[-1]), np.float64)
+    diagonals: Floats = matrices * np.eye(matrices.shape[-1])
+    return diagonals
 
 
 def project(camera: Camera, poses: Poses, seen: Observations) -> Floats:

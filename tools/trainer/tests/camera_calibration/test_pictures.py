@@ -1,0 +1,116 @@
+"""From pictures to `lens.toml`: pictures are rendered from the print file, by cameras with known intrinsics."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from embodied_depth_trainer.camera_calibration.arrays import Image
+from embodied_depth_trainer.camera_calibration.board import Board
+from embodied_depth_trainer.camera_calibration.camera import FISHEYE, Camera
+from embodied_depth_trainer.errors import TrainerError
+
+from .cli import run
+from .synthetic import APRILGRID_BOARD, CHARUCO_BOARD, FISH, WIDE, pictures
+
+
+def save(folder: Path, shown: list[Image]) -> Path:
+    folder.mkdir()
+    for index, picture in enumerate(shown):
+        assert cv2.imwrite(str(folder / f"{index:02d}.png"), picture)
+    return folder
+
+
+def board_options(board: Board) -> list[str]:
+    squares = f"{board.columns}x{board.rows}"
+    return ["--kind", board.kind, "--squares", squares, "--square-mm", str(board.square_mm)]
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save(tmp_path_factory.mktemp("wide") / "pictures", pictures(WIDE, CHARUCO_BOARD, 20))
+
+
+@pytest.mark.parametrize(
+    ("camera", "board", "views", "nearest_mm"),
+    [(WIDE, CHARUCO_BOARD, 20, 250.0), (FISH, APRILGRID_BOARD, 30, 140.0)],
+    ids=["plumb bob, ChArUco", "fisheye, AprilGrid"],
+)
+def test_pictures_of_a_known_lens_give_its_values_within_the_stated_errors(
+    camera: Camera,
+    board: Board,
+    views: int,
+    nearest_mm: float,
+    wide: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = wide if camera is WIDE else save(tmp_path / "pictures", pictures(camera, board, views, 0, nearest_mm))
+    out = tmp_path / "lens.toml"
+    run("images", folder, *board_options(board), "--out", out)
+    said = capsys.readouterr().out
+    assert f"The model is {camera.model}" in said
+    assert "uncertainty of the projection" in said
+    written = tomllib.loads(out.read_text())
+    assert written["devices"]["camera"] == {"width": camera.width, "height": camera.height}
+    lens = written["devices"]["lens"]
+    assert set(lens) == {"fx", "fy", "cx", "cy", "distortion"}
+    assert len(lens["distortion"]) == (4 if camera.model == FISHEYE else 5)
+    values = np.array([lens["fx"], lens["fy"], lens["cx"], lens["cy"], *lens["distortion"]])
+    deviations = stated_deviations(out)
+    assert (np.abs(values - camera.values) < 3 * deviations).all()
+    assert (np.abs(values[:2] - camera.values[:2]) < 0.003 * camera.values[:2]).all()
+    assert (np.abs(values[2:4] - camera.values[2:4]) < 1.0).all()
+    picture = cv2.imread(str(tmp_path / "lens.png"))
+    assert picture is not None
+    assert picture.shape[1] > 1000
+
+
+def stated_deviations(file: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """The standard deviation in every key's comment, in the order of the file."""
+    lines = [
+        line for line in file.read_text().splitlines() if not line.startswith("#") and "standard deviation" in line
+    ]
+    return np.array([float(line.split("standard deviation ")[1]) for line in lines])
+
+
+def test_damaged_and_empty_pictures_are_named_and_skipped(
+    wide: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shown = [cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in sorted(wide.iterdir())]
+    folder = save(tmp_path / "pictures", [picture for picture in shown if picture is not None])
+    (folder / "03.png").write_bytes((folder / "03.png").read_bytes()[:60])
+    (folder / "05.png").write_bytes(b"")
+    cv2.imwrite(str(folder / "90.png"), np.full((480, 640), 128, np.uint8))
+    run("images", folder / "*.png", "--out", tmp_path / "lens.toml")
+    said = capsys.readouterr().out
+    assert "skipped 03.png: it is no readable image" in said
+    assert "skipped 05.png: it is no readable image" in said
+    assert "skipped 90.png: 0 corners of the board were found" in said
+    assert "without the board" in (tmp_path / "lens.toml").read_text()
+
+
+def test_pictures_of_different_sizes_are_refused_with_their_names(tmp_path: Path) -> None:
+    folder = save(tmp_path / "pictures", [np.zeros((480, 640), np.uint8), np.zeros((240, 320), np.uint8)])
+    with pytest.raises(TrainerError, match=r"different sizes \(320 x 240: 01.png; 640 x 480: 00.png\)"):
+        run("images", folder, "--out", tmp_path / "lens.toml")
+
+
+def test_pictures_without_any_board_are_refused(tmp_path: Path) -> None:
+    folder = save(tmp_path / "pictures", [np.zeros((480, 640), np.uint8)] * 2)
+    with pytest.raises(TrainerError, match="the board was found in no picture"):
+        run("images", folder, "--out", tmp_path / "lens.toml")
+    with pytest.raises(TrainerError, match="there are no images"):
+        run("images", tmp_path / "nothing", "--out", tmp_path / "lens.toml")
+    assert not (tmp_path / "lens.toml").exists()
+
+
+def test_an_existing_file_is_refused_before_pictures_are_read(tmp_path: Path) -> None:
+    (tmp_path / "lens.toml").write_text("mine = true\n")
+    with pytest.raises(TrainerError, match=r"lens.toml exists and is not overwritten; give another --out, or --force"):
+        run("images", tmp_path / "nothing", "--out", tmp_path / "lens.toml")
+    assert (tmp_path / "lens.toml").read_text() == "mine = true\n"
