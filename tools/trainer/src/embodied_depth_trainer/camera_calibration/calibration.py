@@ -18,6 +18,8 @@ AUTO = "auto"
 # The plumb bob stays unless the fisheye predicts views that it has not seen better than this: images of most lenses
 # fit both, and other programs know the plumb bob.
 CLEARLY_BETTER = 0.99
+# A model with this many times the residuals of the other does not describe the lens, and is not cross-validated.
+HOPELESS = 3.0
 # Cross-validation and covariance disagree from this ratio of their medians on. In 24 simulated calibrations with the
 # right model it was 0.4 to 1.9, with the wrong one 0.8 to 24 (median 2.2 where the models differ by 0.04 pixels).
 DISAGREEMENT = 2.0
@@ -73,7 +75,12 @@ def calibrate(seen: Observations, model: str = AUTO, limits: Limits | None = Non
     used = np.any([found.used for found in fits.values() if found is not None], axis=0)
     if not used.any():
         raise checks.no_fit()
-    validated = {name: cross_validate(found, used) for name, found in fits.items() if found is not None}
+    least = min(found.noise_px for found in fits.values() if found is not None)
+    validated = {
+        name: cross_validate(found, used)
+        for name, found in fits.items()
+        if found is not None and (name == model or found.noise_px < HOPELESS * least)
+    }
     errors = {name: validated[name].held_out_px if name in validated else np.inf for name in MODELS}
     chosen, choice = _choose(model, errors)
     found = fits[chosen]
@@ -81,10 +88,20 @@ def calibrate(seen: Observations, model: str = AUTO, limits: Limits | None = Non
         raise checks.no_fit(chosen)
     checks.require_fit(found, bounds)
     own = validated[chosen] if np.array_equal(found.used, used) else cross_validate(found, found.used)
-    camera = found.solution.camera
-    calibration = Calibration(found, own, errors, choice, uncertainty.projected(found), own.differences(camera))
-    checks.require_certainty(camera, calibration.deviations, calibration.better_model)
+    calibration = _measured(found, own, errors, choice)
+    checks.require_certainty(calibration.camera, calibration.deviations, calibration.better_model)
     return calibration
+
+
+def _measured(found: Fit, validated: CrossValidation, errors: dict[str, float], choice: str) -> Calibration:
+    camera = found.solution.camera
+    try:
+        return Calibration(
+            found, validated, errors, choice, uncertainty.projected(found), validated.differences(camera)
+        )
+    except np.linalg.LinAlgError:
+        # A calibration without some of the views projects to no finite place.
+        raise checks.no_fit(camera.model) from None
 
 
 def _fit(model: str, seen: Observations) -> Fit | None:
@@ -98,7 +115,9 @@ def _fit(model: str, seen: Observations) -> Fit | None:
 
 
 def _choose(model: str, errors: dict[str, float]) -> tuple[str, str]:
-    told = ", ".join(f"{name} {error:.3f} px" for name, error in errors.items())
+    told = ", ".join(
+        f"{name} {error:.3f} px" if np.isfinite(error) else f"{name} does not fit" for name, error in errors.items()
+    )
     if model != AUTO:
         return model, f"The model is {model} because --model says so. Error on views that a fit has not seen: {told}."
     best = min(errors, key=lambda name: errors[name])

@@ -38,7 +38,8 @@ def rotations(vectors: Floats) -> Floats:
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
     crossed = cross_matrices(vectors)
-    return np.eye(3) + first * crossed + second * (crossed @ crossed)
+    found: Floats = np.eye(3) + first * crossed + second * (crossed @ crossed)
+    return found
 
 
 def cross_matrices(vectors: Floats) -> Floats:
@@ -48,24 +49,30 @@ def cross_matrices(vectors: Floats) -> Floats:
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
 
 
-def guess_pose(points_mm: Floats, rays: Floats) -> tuple[Floats, Floats]:
-    """Rotation and translation of a flat board whose corners lie on the rays.
+def guess_poses(points_mm: Floats, rays: Floats, view: Indices) -> Poses:
+    """Poses of a flat board whose corners lie on the rays, for all views at once; `view` [n] increases.
 
     The homography H from the board's plane to rays is the null space of ray x H p = 0 (the direct linear transform),
     which also holds for rays 90 degrees and more from the optical axis. The rotation is the nearest to H's first two
     columns and their cross product (Zhang 2000).
     """
-    centre = points_mm[:, :2].mean(axis=0)
+    starts = np.unique(view, return_index=True)[1]
+    counts = np.diff(np.append(starts, len(view)))[:, None]
+    centre = np.add.reduceat(points_mm[:, :2], starts, axis=0) / counts
     # With coordinates of about 1 the equations are well conditioned.
-    scale = max(float(np.abs(points_mm[:, :2] - centre).max()), 1e-9)
-    flat = np.column_stack([(points_mm[:, :2] - centre) / scale, np.ones(len(points_mm))])
-    equations = (cross_matrices(rays)[:, :, :, None] * flat[:, None, None, :]).reshape(-1, 9)
-    matrix = np.linalg.eigh(equations.T @ equations)[1][:, 0].reshape(3, 3)
+    shifted = points_mm[:, :2] - centre[view]
+    scale = np.maximum(np.maximum.reduceat(np.abs(shifted).max(axis=1), starts), 1e-9)
+    flat = np.column_stack([shifted / scale[view, None], np.ones(len(view))])
+    equations = (cross_matrices(rays)[:, :, :, None] * flat[:, None, None, :]).reshape(-1, 3, 9)
+    products = np.add.reduceat(equations.transpose(0, 2, 1) @ equations, starts, axis=0)
+    matrices = np.linalg.eigh(products)[1][:, :, 0].reshape(-1, 3, 3)
     # The corners lie on the rays and not on their opposite.
-    if np.sum(rays * (flat @ matrix.T)) < 0:
-        matrix = -matrix
-    length = np.linalg.norm(matrix[:, :2], axis=0).mean()
-    first, second, origin = (matrix / max(float(length), 1e-12)).T
-    left, _, right = np.linalg.svd(np.column_stack([first, second, np.cross(first, second)]))
-    rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return rotation, origin * scale - rotation[:, :2] @ centre
+    along = np.add.reduceat(np.einsum("ni,nij,nj->n", rays, matrices[view], flat), starts)
+    matrices = matrices * np.where(along < 0, -1.0, 1.0)[:, None, None]
+    length = np.linalg.norm(matrices[:, :, :2], axis=1).mean(axis=1)
+    matrices = matrices / np.maximum(length, 1e-12)[:, None, None]
+    columns = np.cross(matrices[:, :, 0], matrices[:, :, 1])[:, :, None]
+    left, _, right = np.linalg.svd(np.concatenate([matrices[:, :, :2], columns], axis=2))
+    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
+    rotation = left @ right
+    return Poses(rotation, matrices[:, :, 2] * scale[:, None] - np.einsum("vij,vj->vi", rotation[:, :, :2], centre))

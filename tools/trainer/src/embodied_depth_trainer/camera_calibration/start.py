@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from embodied_depth_trainer.camera_calibration.arrays import Floats, Indices
+from embodied_depth_trainer.camera_calibration.arrays import Floats
 from embodied_depth_trainer.camera_calibration.camera import COEFFICIENTS, FISHEYE, Camera
-from embodied_depth_trainer.camera_calibration.poses import Poses, guess_pose
+from embodied_depth_trainer.camera_calibration.poses import Poses, guess_poses
 from embodied_depth_trainer.camera_calibration.solve import Solution, project, solve
 from embodied_depth_trainer.camera_calibration.views import Observations
 
@@ -16,6 +16,8 @@ from embodied_depth_trainer.camera_calibration.views import Observations
 FOCAL_LENGTHS = np.geomspace(0.25, 4.0, 13)
 # Views that a guess is judged by.
 JUDGED = 12
+# Guesses that are refined before one is taken.
+TRIED = 3
 # Weights of corners in the first search fall off beyond this many pixels, so that a few wrong ones do not count.
 TOLERANCE_PX = 2.0
 
@@ -32,9 +34,10 @@ def begin(model: str, seen: Observations) -> Solution:
     spread = np.unique(np.linspace(0, seen.views - 1, JUDGED).astype(np.int64))
     judged = seen.of_views(spread)
     guesses = [_guess(model, judged, factor * seen.width) for factor in FOCAL_LENGTHS]
-    best = sorted(guesses, key=lambda guess: guess.error_px)[:3]
-    solutions = [robust(guess.camera, all_poses(guess.camera, seen), seen) for guess in best]
-    return min(solutions, key=lambda solution: _typical(solution.residuals))
+    best = sorted(guesses, key=lambda guess: guess.error_px)[:TRIED]
+    solutions = [robust(guess.camera, guess.poses, judged) for guess in best]
+    camera = min(solutions, key=lambda solution: _typical(solution.residuals)).camera
+    return robust(camera, all_poses(camera, seen), seen)
 
 
 def _guess(model: str, seen: Observations, focal_px: float) -> _Guess:
@@ -57,12 +60,7 @@ def _typical(residuals: Floats) -> float:
 def all_poses(camera: Camera, seen: Observations) -> Poses:
     """A guess of each view's pose from its corners alone."""
     rays, _ = camera.rays(seen.pixels)
-    found = [guess_pose(seen.points_mm[part], rays[part]) for part in _parts(seen)]
-    return Poses(np.stack([rotation for rotation, _ in found]), np.stack([place for _, place in found]))
-
-
-def _parts(seen: Observations) -> list[Indices]:
-    return [np.flatnonzero(seen.view == view) for view in range(seen.views)]
+    return guess_poses(seen.points_mm, rays, seen.view)
 
 
 def robust(camera: Camera, poses: Poses, seen: Observations) -> Solution:
