@@ -66,6 +66,9 @@ COMMANDS = {
     "calibrate": _command(
         "calibrate", "calibrate the confidence of an exported student on homes that it was not trained on"
     ),
+    "calibrate-camera": _command(
+        "calibrate_camera", "measure the camera's intrinsics with a printed board, or take over those of ROS or Kalibr"
+    ),
     "watch": _command("watch", "train on recordings as pull-buffer brings them, and pass each network to a command"),
     "provenance": _command("provenance", "say what a model was trained on, from which weights and for how many steps"),
     "export": _command("export", "export a trained network as an ONNX file for the robot"),
