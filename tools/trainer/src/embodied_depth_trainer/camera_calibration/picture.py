@@ -18,6 +18,8 @@ from embodied_depth_trainer.files import write_atomically
 
 # The longest residual is drawn about this long, as a share of the image's width.
 LONGEST_ARROW = 0.06
+# Lines of both maps, pixels.
+LEVELS = [step * 10.0**power for power in range(-4, 5) for step in (1, 2, 5)]
 # Okabe and Ito's blue and vermilion, which eyes that do not tell red from green distinguish, too.
 BLUE = "#0072b2"
 VERMILION = "#d55e00"
@@ -109,7 +111,9 @@ def _maps(figure: Figure, axes: Floats, found: Calibration) -> None:
         axis.set_title(f"{title}: p50 {p50:.2f}, p90 {p90:.2f} px", fontsize=9)
     assert shown is not None
     colours = figure.colorbar(shown, ax=list(axes), shrink=0.85, pad=0.01, extend="both")
-    colours.ax.yaxis.set_major_formatter("{x:g}")
+    ticks = [level for level in LEVELS if 0.99 * bottom <= level <= 1.01 * top]
+    colours.set_ticks(ticks, labels=[f"{level:g}" for level in ticks])
+    colours.ax.minorticks_off()
     colours.ax.tick_params(labelsize=7)
     colours.set_label("pixels, root mean square", fontsize=8)
 
@@ -125,8 +129,7 @@ def _map(axis: Axes, found: Calibration, values: Floats, bottom: float, top: flo
     )
     x = np.linspace(0, camera.width - 1, columns)
     y = np.linspace(0, camera.height - 1, rows)
-    levels = [step * power for power in 10.0 ** np.arange(-4, 5) for step in (1, 2, 5)]
-    lines = axis.contour(x, y, np.ma.masked_invalid(values), levels=levels, colors="white", linewidths=0.7)
+    lines = axis.contour(x, y, np.ma.masked_invalid(values), levels=LEVELS, colors="white", linewidths=0.7)
     axis.clabel(lines, fontsize=7, fmt="%g")
     axis.set(xlim=(-0.5, camera.width - 0.5), ylim=(camera.height - 0.5, -0.5))
     return image
