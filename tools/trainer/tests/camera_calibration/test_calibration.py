@@ -74,10 +74,10 @@ def test_the_model_and_its_values_are_found(camera: Camera) -> None:
 
 @LENSES
 def test_standard_deviations_hold_the_truth_as_often_as_they_say(camera: Camera) -> None:
-    """30 calibrations: 95.4 % of the values are expected within two standard deviations."""
+    """25 calibrations: 95.4 % of the values are expected within two standard deviations."""
     within = []
     squares = []
-    for seed in range(30):
+    for seed in range(25):
         seen = observations(camera, seed=1000 + seed, views=16)
         solution = solve(camera, all_poses(camera, seen), seen)
         found = Fit(solution, seen, np.ones(len(seen.view), np.bool_))
@@ -162,9 +162,9 @@ def test_large_residuals_are_refused() -> None:
 
 def test_a_board_of_another_size_than_stated_changes_only_distances() -> None:
     """Intrinsics do not depend on the scale of the print, so that a wrong --square-mm does no harm."""
-    seen = observations(WIDE, views=16)
+    seen = observations(WIDE, views=12)
     larger = replace(seen, points_mm=1.1 * seen.points_mm)
-    values = [calibrate(each, PLUMB_BOB).camera.values for each in (seen, larger)]
+    values = [solve(WIDE, all_poses(WIDE, each), each).camera.values for each in (seen, larger)]
     assert np.allclose(values[0], values[1], rtol=1e-3, atol=1e-3)
 
 

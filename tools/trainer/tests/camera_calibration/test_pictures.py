@@ -34,15 +34,15 @@ def board_options(board: Board) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("camera", "board", "nearest_mm"),
-    [(WIDE, CHARUCO_BOARD, 250.0), (FISH, SMALL_APRILGRID, 140.0)],
+    ("camera", "board", "views", "nearest_mm"),
+    [(WIDE, CHARUCO_BOARD, 16, 250.0), (FISH, SMALL_APRILGRID, 22, 140.0)],
     ids=["plumb bob, ChArUco", "fisheye, AprilGrid"],
 )
 def test_pictures_of_a_known_lens_give_its_values_within_the_stated_errors(
-    camera: Camera, board: Board, nearest_mm: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    camera: Camera, board: Board, views: int, nearest_mm: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Pictures that are damaged, or without the board, are named and skipped."""
-    folder = save(tmp_path / "pictures", pictures(camera, board, 24, 0, nearest_mm))
+    folder = save(tmp_path / "pictures", pictures(camera, board, views, 0, nearest_mm))
     (folder / "80.png").write_bytes((folder / "03.png").read_bytes()[:60])
     (folder / "81.png").write_bytes(b"")
     cv2.imwrite(str(folder / "82.png"), np.full((480, 640), 128, np.uint8))

@@ -86,24 +86,32 @@ class Camera:
 
     def _refined(self, rays: Floats, pixels: Floats) -> Floats:
         """Newton's method in the tangent plane of each ray. 30 steps suffice for every lens that a test has."""
+        rays = rays.copy()
+        moving = np.arange(len(rays))
         for _ in range(30):
-            with np.errstate(all="ignore"):
-                found, _, by_rays = self.project_with_derivatives(rays)
-                tangents = _tangents(rays)
-                system = by_rays @ tangents
-                determinant = np.linalg.det(system)
-                usable = np.isfinite(determinant) & (np.abs(determinant) > 1e-6)
-                system[~usable] = np.eye(2)
-                step = np.linalg.solve(system, (pixels - found)[:, :, None])
-            step[~usable] = 0.0
-            # A step of more than half a radian leaves the region in which the model is nearly linear.
-            length = np.linalg.norm(step, axis=1, keepdims=True)
-            step *= np.minimum(1.0, 0.5 / np.maximum(length, 1e-12))
-            rays = rays + (tangents @ step)[:, :, 0]
-            rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-            if length.max(initial=0.0) < 1e-12:
+            step = self._step(rays[moving], pixels[moving])
+            rays[moving] += step
+            rays[moving] /= np.linalg.norm(rays[moving], axis=1, keepdims=True)
+            moving = moving[np.abs(step).max(axis=1, initial=0.0) > 1e-12]
+            if not len(moving):
                 break
         return rays
+
+    def _step(self, rays: Floats, pixels: Floats) -> Floats:
+        """By how much rays must change; nothing where the model has no inverse."""
+        tangents = _tangents(rays)
+        with np.errstate(all="ignore"):
+            found, _, by_rays = self.project_with_derivatives(rays)
+            system = by_rays @ tangents
+            determinant = np.linalg.det(system)
+            usable = np.isfinite(determinant) & (np.abs(determinant) > 1e-6)
+            system[~usable] = np.eye(2)
+            step = np.linalg.solve(system, (pixels - found)[:, :, None])
+        step[~usable] = 0.0
+        # A step of more than half a radian leaves the region in which the model is nearly linear.
+        step *= np.minimum(1.0, 0.5 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))
+        change: Floats = (tangents @ step)[:, :, 0]
+        return change
 
     def _monotonic(self, rays: Floats) -> Flags:
         """Whether the radial polynomial grows up to each ray. Beyond, the model shows the middle a second time."""

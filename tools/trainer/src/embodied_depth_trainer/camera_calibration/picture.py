@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
@@ -17,6 +18,8 @@ from embodied_depth_trainer.files import write_atomically
 
 # The longest residual is drawn about this long, as a share of the image's width.
 LONGEST_ARROW = 0.06
+# Lines of both maps, pixels.
+LEVELS = [step * 10.0**power for power in range(-4, 5) for step in (1, 2, 5)]
 # Okabe and Ito's blue and vermilion, which eyes that do not tell red from green distinguish, too.
 BLUE = "#0072b2"
 VERMILION = "#d55e00"
@@ -95,34 +98,39 @@ def _maps(figure: Figure, axes: Floats, found: Calibration) -> None:
     """Both maps with one scale of colours, so that a glance shows whether they agree."""
     values = np.concatenate([found.projected.ravel(), found.crossed.ravel()])
     finite = values[np.isfinite(values)]
-    top = _ceiling(float(np.percentile(finite, 95)) if len(finite) else 1.0)
+    low, high = np.percentile(finite[finite > 0], [2, 98]) if np.any(finite > 0) else (0.1, 1.0)
+    # Whole steps of the series 1, 2, 5; at least a factor of ten, so that small differences do not seem large.
+    top = _ceiling(float(high))
+    bottom = min(_round(float(low)), top / 10)
     titles = ("uncertainty from the noise of the corners", "cross-validation: calibrations without some views")
     shown: AxesImage | None = None
     for axis, values, title in zip(axes, (found.projected, found.crossed), titles, strict=True):
-        shown = _map(axis, found, values, top)
+        shown = _map(axis, found, values, bottom, top)
         finite = values[np.isfinite(values)]
         p50, p90 = np.percentile(finite, [50, 90]) if len(finite) else (np.nan, np.nan)
         axis.set_title(f"{title}: p50 {p50:.2f}, p90 {p90:.2f} px", fontsize=9)
     assert shown is not None
-    colours = figure.colorbar(shown, ax=list(axes), shrink=0.85, pad=0.01, extend="max")
+    colours = figure.colorbar(shown, ax=list(axes), shrink=0.85, pad=0.01, extend="both")
+    ticks = [level for level in LEVELS if 0.99 * bottom <= level <= 1.01 * top]
+    colours.set_ticks(ticks, labels=[f"{level:g}" for level in ticks])
+    colours.ax.minorticks_off()
     colours.ax.tick_params(labelsize=7)
     colours.set_label("pixels, root mean square", fontsize=8)
 
 
-def _map(axis: Axes, found: Calibration, values: Floats, top: float) -> AxesImage:
+def _map(axis: Axes, found: Calibration, values: Floats, bottom: float, top: float) -> AxesImage:
     camera = found.camera
     rows, columns = values.shape
     half = np.array([(camera.width - 1) / (columns - 1), (camera.height - 1) / (rows - 1)]) / 2
     extent = (-half[0], camera.width - 1 + half[0], camera.height - 1 + half[1], -half[1])
     axis.set_facecolor("0.75")
     image = axis.imshow(
-        values, extent=extent, cmap="viridis", vmin=0, vmax=top, aspect="equal", interpolation="bilinear"
+        values, extent=extent, cmap="viridis", norm=LogNorm(bottom, top), aspect="equal", interpolation="bilinear"
     )
     x = np.linspace(0, camera.width - 1, columns)
     y = np.linspace(0, camera.height - 1, rows)
-    levels = np.linspace(0, top, 6)[1:]
-    lines = axis.contour(x, y, np.ma.masked_invalid(values), levels=levels, colors="white", linewidths=0.7)
-    axis.clabel(lines, fontsize=7, fmt="%.2g")
+    lines = axis.contour(x, y, np.ma.masked_invalid(values), levels=LEVELS, colors="white", linewidths=0.7)
+    axis.clabel(lines, fontsize=7, fmt="%g")
     axis.set(xlim=(-0.5, camera.width - 0.5), ylim=(camera.height - 0.5, -0.5))
     return image
 

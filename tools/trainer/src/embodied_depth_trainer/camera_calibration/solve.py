@@ -78,7 +78,8 @@ def project(camera: Camera, poses: Poses, seen: Observations) -> Floats:
 
 def _in_camera(poses: Poses, seen: Observations) -> Floats:
     rotated = np.einsum("nij,nj->ni", poses.rotation[seen.view], seen.points_mm)
-    return rotated + poses.translation_mm[seen.view]
+    points: Floats = rotated + poses.translation_mm[seen.view]
+    return points
 
 
 def _normal(camera: Camera, poses: Poses, seen: Observations, weights: Floats, free: Flags) -> _Normal:
