@@ -38,7 +38,7 @@ hal::settings! {
         /// Standard deviation of the wheels' yaw per metre, from bumps and unequal wheels.
         wheel_drift_rad_per_m: f64 = 0.02, in 0.0001..=0.5, unit "rad/m";
         /// Standard deviation of one range. The scanner's own figure is usually lower; walls and furniture are not quite flat.
-        range_noise_m: f64 = 0.012, in 0.001..=0.2, unit "m", source "repeatability of indoor scanners, 10 to 15 mm; real logs (docs/localization.md)";
+        range_noise_m: f64 = 0.02, in 0.001..=0.2, unit "m", source "UTM-30LX data sheet: 10 to 30 mm";
         /// Ranges beyond this are not used: the gaps between their beams are too wide to know a surface by.
         range_limit_m: f64 = 25.0, in 2.0..=25.0, unit "m";
     }

@@ -13,7 +13,7 @@
 //! - **Confidence**: the probability that a vote, a belief or a depth is right, that is, within 25 % of the true depth.
 //! - **Voxel map**: sparse memory of the surfaces that were seen with confidence; depth of any view is *recalled* from it.
 //! - **Dense depth**: coarse depth, completed by recalled depth, by filling and by walls above the hits of the scanner ([`DenseDepth`]).
-//! - **Map depth**: what a map may believe of dense depth, which holds assumptions ([`MapDepth`]).
+//! - **Map depth**: what a map may believe of dense depth, which holds assumptions ([`map_depth()`]).
 //! - **Motion mask**: the cells whose content moves relative to the static scene; they get no depth.
 
 mod aggregate;
@@ -52,7 +52,7 @@ pub use coarse::CoarseDepth;
 pub use config::{CoarseConfig, DenseConfig, PerceptionError};
 pub use dense::{DenseDepth, Moment};
 pub use estimate::{DepthEstimate, NoDepth};
-pub use map_depth::MapDepth;
+pub use map_depth::map_depth;
 pub use network::{DepthNetwork, GivenDepth, InputKind, NetworkError, NetworkOptions, Provider};
 pub use rotation_filter::YawError;
 pub use wta::Vote;

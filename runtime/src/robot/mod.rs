@@ -29,8 +29,8 @@ use crate::exploration::{Explorer, Observations};
 use crate::localization::{LocalizationError, Whereabouts};
 use crate::mapping::{MapError, OccupancyGrid, SingleFrameMap, Surfaces};
 use crate::perception::{
-    CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, MapDepth,
-    Moment, NoDepth, PerceptionError,
+    CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, Moment, NoDepth,
+    PerceptionError, map_depth,
 };
 use crate::planning::{ConfigError, Primitive};
 use crate::recording::input_digest;
@@ -162,7 +162,7 @@ pub struct Robot {
     dense: DenseDepth,
     network: Option<DepthNetwork>,
     /// What the map believes of dense depth, if it uses it.
-    believed: MapDepth,
+    believed: DepthEstimate,
     truth: DepthEstimate,
     has_depth: HasDepth,
     location: Location,
@@ -219,7 +219,7 @@ impl Robot {
             coarse,
             dense,
             network,
-            believed: MapDepth::new(&config.camera, &config.t_base_camera),
+            believed: DepthEstimate::none(config.camera.width, config.camera.height),
             truth: DepthEstimate::none(config.camera.width, config.camera.height),
             has_depth: HasDepth::default(),
             location: Location::new(config.localization.clone(), config.t_base_laser)?,
@@ -468,7 +468,7 @@ impl Robot {
             self.dense.complete(&self.coarse, &moment);
             if self.config.depth_source == DepthSource::Dense {
                 let coarse = coarse.is_ok().then(|| self.coarse.last());
-                self.believed.limit(self.dense.last(), coarse);
+                map_depth(&mut self.believed, self.dense.last(), coarse);
             }
         }
         completes
@@ -524,7 +524,7 @@ impl Robot {
     pub fn mapped_depth(&self) -> Option<&DepthEstimate> {
         match self.config.depth_source {
             DepthSource::Coarse => self.coarse_depth(),
-            DepthSource::Dense => self.has_depth.dense.then(|| self.believed.last()),
+            DepthSource::Dense => self.has_depth.dense.then_some(&self.believed),
             DepthSource::Network => self.network_depth(),
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         }
@@ -593,18 +593,15 @@ impl Robot {
         // The body of `mapped_depth`, repeated so that the borrow checker sees that `self.map` is not borrowed.
         let depth = match self.config.depth_source {
             DepthSource::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
-            DepthSource::Dense => self.has_depth.dense.then(|| self.believed.last()),
+            DepthSource::Dense => self.has_depth.dense.then_some(&self.believed),
             DepthSource::Network => {
                 self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
             }
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         };
-        // Without coarse depth a frame is sure of nothing. Its map would push out those that can be compared.
-        let is_compared = self.has_depth.coarse || self.has_depth.truth;
         if let Some(depth) = depth.filter(|_| trusts_camera)
             && let Ok(newest) =
                 self.map.integrate_depth(depth, &self.config.camera, &t_map_camera, &self.surfaces)
-            && is_compared
         {
             let gap = self.config.exploration.inconsistency_gap;
             remember_frame_map(&mut self.frame_maps, newest, gap);
