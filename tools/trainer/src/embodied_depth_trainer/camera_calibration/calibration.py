@@ -140,6 +140,6 @@ def _warnings(found: Calibration) -> list[str]:
     if lacking > 0:
         warnings.append(
             f"the model holds up to {np.degrees(camera.valid_angle()):.0f} degrees from the optical axis, so that "
-            f"{lacking:.0%} of the image has no direction; take pictures with the board in the corners of the image"
+            f"{lacking:.0%} of the image has no direction; take images with the board in the corners of the image"
         )
     return warnings + checks.coverage_warnings(found.fit)

@@ -28,7 +28,7 @@ CENTRE_PX = 100_000.0
 # A focal length that is 1 % wrong makes all depth from motion 1 % wrong, and moves the edges of a 640 pixels wide image
 # by 3 pixels.
 LARGEST_FOCAL_DEVIATION = 0.01
-TILT_ADVICE = "tilt the board by 20 to 45 degrees to the left, right, top and bottom in different pictures"
+TILT_ADVICE = "tilt the board by 20 to 45 degrees to the left, right, top and bottom in different images"
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ def require_views(seen: Observations, limits: Limits) -> None:
     if seen.views < limits.views:
         raise TrainerError(
             f"{seen.views} views with the board are too few, {limits.views} are needed and 30 are good; take more "
-            "pictures, with the board larger, sharp, in even light and with the right --kind and --squares"
+            "images, with the board larger, sharp, in even light and with the right --kind and --squares"
         )
     found = coverage.counts(seen.pixels, seen.width, seen.height)
     if coverage.share(found) < limits.coverage:
         raise TrainerError(
             f"only {coverage.share(found):.0%} of the image has corners, and {limits.coverage:.0%} are needed, because "
-            f"distortion is only known there; take pictures with the board at {coverage.missing(found)}. "
+            f"distortion is only known there; take images with the board at {coverage.missing(found)}. "
             f"Corners in each part of the image:\n{coverage.picture(found)}\n"
             "--least-coverage allows less, for a fisheye lens whose picture is a circle"
         )
@@ -76,7 +76,7 @@ def require_fit(found: Fit, limits: Limits) -> None:
     if found.views < limits.views:
         raise TrainerError(
             f"{found.views} of {found.seen.views} views agree with each other, {limits.views} are needed; these do "
-            f"not: {', '.join(found.outlier_views())}. Take more pictures, without motion blur and with a flat board"
+            f"not: {', '.join(found.outlier_views())}. Take more images, without motion blur and with a flat board"
         )
     tilt = tilt_deg(found)
     if tilt < LEAST_TILT_DEG:
@@ -87,7 +87,7 @@ def require_fit(found: Fit, limits: Limits) -> None:
     if found.rms_px > limits.rms_px:
         raise TrainerError(
             f"the residuals have an rms of {found.rms_px:.2f} pixels, above {limits.rms_px:g}; use a flat board (paper "
-            "on glass), check --squares, --spacing and --legacy-pattern against the print, and take pictures without "
+            "on glass), check --squares, --spacing and --legacy-pattern against the print, and take images without "
             "motion; --rms-limit allows more"
         )
 
@@ -112,7 +112,7 @@ def require_certainty(camera: Camera, deviations: Floats, better: str | None) ->
             )
         raise TrainerError(
             f"the focal length is uncertain by {uncertain:.1%}, above {LARGEST_FOCAL_DEVIATION:.0%}; {TILT_ADVICE}, "
-            "and take more pictures with a larger board"
+            "and take more images with a larger board"
         )
     require_allowed(camera)
 
@@ -135,6 +135,6 @@ def coverage_warnings(found: Fit) -> list[str]:
     if coverage.share(counts) >= GOOD_COVERAGE:
         return []
     return [
-        f"{coverage.share(counts):.0%} of the image has corners; the rest is extrapolated. Take pictures with the "
+        f"{coverage.share(counts):.0%} of the image has corners; the rest is extrapolated. Take images with the "
         f"board at {coverage.missing(counts)}"
     ]

@@ -21,8 +21,8 @@ REFINE_PX = 0.001
 # pixels.
 FURTHEST_PX = 1.5
 FURTHEST = 0.3
-# Pictures up to this wide are enlarged twice before markers are searched: a bit of a marker needs about four pixels. Of
-# the tags in synthetic pictures of 640 pixels, that and the settings below find 250 of 414 instead of 72.
+# Images up to this wide are enlarged twice before markers are searched: a bit of a marker needs about four pixels. Of
+# the tags in synthetic images of 640 pixels, that and the settings below find 250 of 414 instead of 72.
 ENLARGED_WIDTH = 1600
 ENLARGED = 2
 # Windows of the threshold between black and white, in pixels: OpenCV's end at 23, less than a near tag's border.

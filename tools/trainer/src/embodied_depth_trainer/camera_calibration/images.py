@@ -21,13 +21,13 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".
 
 @dataclass(frozen=True)
 class Found:
-    """The views of all pictures, and which pictures have none."""
+    """The views of all images, and which images have none."""
 
     views: list[View]
     size: tuple[int, int]
-    """Width and height of the pictures."""
+    """Width and height of the images."""
     skipped: list[tuple[str, str]]
-    """Pictures without a view, and why."""
+    """Images without a view, and why."""
 
     @property
     def seen(self) -> Observations:

@@ -39,7 +39,7 @@ def resized(lens: Lens, width: int | None, height: int | None) -> Lens:
     if min(width, height) <= 0 or abs(width * camera.height / (height * camera.width) - 1) > SAME_RATIO:
         raise TrainerError(
             f"the images have {camera.width} x {camera.height} pixels and {width} x {height} has another shape: the "
-            "camera crops at one of them; calibrate with pictures of the size in [devices.camera]"
+            "camera crops at one of them; calibrate with images of the size in [devices.camera]"
         )
     if (width, height) == (camera.width, camera.height):
         return lens

@@ -1,4 +1,4 @@
-"""OpenCV, which is an extra: only pictures need it, not the import of another program's calibration."""
+"""OpenCV, which is an extra: only images need it, not the import of another program's calibration."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ class Observations:
 
 
 def table(views: Sequence[View], size: tuple[int, int]) -> Observations:
-    """The views as one table; `size` is the pictures' width and height."""
+    """The views as one table; `size` is the images' width and height."""
     counts = [len(view.corners) for view in views]
     return Observations(
         tuple(view.name for view in views),
