@@ -18,6 +18,8 @@ const REVERSED_SHARE: [f64; 2] = [0.5, 2.0];
 /// And not by less than this, metres and radians, which may be noise.
 const REVERSED_M: f64 = 0.01;
 const REVERSED_RAD: f64 = 0.015;
+/// A scan that follows late takes back several motions at once. The sums then hold about half of what was taken back, if the robot had stood.
+const REVERSED_SUMS: [f64; 2] = [0.4, 0.6];
 
 /// How the wheels contradict the scans.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -90,7 +92,7 @@ impl Slip {
         })
     }
 
-    /// Wheels that spin report what the scans take back.
+    /// Wheels that spin report what the scans take back, and wheels that report the wrong direction half of it.
     fn kind(&self, shifted: bool) -> WheelError {
         let [wheels, more] = [self.wheels, self.more];
         let (reported, taken_back, size) = if shifted {
@@ -98,8 +100,19 @@ impl Slip {
         } else {
             (wheels.yaw_rad, -more.yaw_rad, more.yaw_rad.abs())
         };
-        let spins = reported * taken_back > 0.0 && reported.abs() > SPIN_SHARE * size;
-        if spins { WheelError::Spin } else { WheelError::Pushed }
+        // A robot that is pushed aside while it drives has moved in a direction that wheels never report.
+        if reported.signum() * taken_back < SPIN_SHARE * size {
+            return WheelError::Pushed;
+        }
+        let share = reported.abs() / size;
+        let [least, most] = REVERSED_SUMS;
+        if share > SPIN_SHARE {
+            WheelError::Spin
+        } else if (least..=most).contains(&share) {
+            WheelError::Reversed
+        } else {
+            WheelError::Pushed
+        }
     }
 }
 
@@ -155,6 +168,8 @@ mod tests {
         // Wheels that are a tenth too large do not hide it.
         let larger = Pose2::new(0.033, 0.0, 0.0);
         assert_eq!(reported(&larger, &ahead.inverse(), 30), [WheelError::Reversed]);
+        // A push aside while the robot drives is none of both.
+        assert_eq!(reported(&ahead, &Pose2::new(0.025, 0.04, 0.0), 30), [WheelError::Pushed]);
         // What was driven before does not hide it either.
         let mut slip = Slip::default();
         let mut pose = Pose2::IDENTITY;
