@@ -1,4 +1,4 @@
-"""Synthetic cameras: views of a board as corners, and pictures of a printed sheet by ray casting."""
+"""Synthetic cameras: views of a board as corners, and images of a printed sheet by ray casting."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Texture:
 
 @cache
 def texture(board: Board) -> Texture:
-    """The print file itself, so that the pictures also test its scale."""
+    """The print file itself, so that the images also test its scale."""
     sheet = place(board, "a4")
     grey = cv2.imdecode(np.frombuffer(draw(sheet, ".png"), np.uint8), cv2.IMREAD_GRAYSCALE)
     assert grey is not None
@@ -171,7 +171,7 @@ def render(
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
 
-def pictures(camera: Camera, board: Board, views: int, seed: int = 0, nearest_mm: float = 250.0) -> list[Image]:
+def images(camera: Camera, board: Board, views: int, seed: int = 0, nearest_mm: float = 250.0) -> list[Image]:
     random = np.random.default_rng(seed)
     poses = [pose(random, camera, board, index, 0.6, nearest_mm) for index in range(views)]
     return [render(camera, board, placed, index) for index, placed in enumerate(poses)]

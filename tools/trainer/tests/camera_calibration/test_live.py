@@ -15,7 +15,7 @@ from embodied_depth_trainer.camera_calibration.views import Observations, View
 from embodied_depth_trainer.errors import TrainerError
 
 from .cli import run
-from .synthetic import CHARUCO_BOARD, WIDE, observations, pictures
+from .synthetic import CHARUCO_BOARD, WIDE, observations, images
 
 NOTHING = np.zeros((480, 640), np.uint8)
 
@@ -105,7 +105,7 @@ def test_a_video_file_is_read_to_its_end_and_its_views_are_kept(tmp_path: Path) 
     video = tmp_path / "board.avi"
     writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (640, 480))
     assert writer.isOpened()
-    for picture in pictures(WIDE, CHARUCO_BOARD, 2):
+    for picture in images(WIDE, CHARUCO_BOARD, 2):
         for _ in range(live.STILL_FRAMES + 1):
             writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
     writer.release()

@@ -1,4 +1,4 @@
-"""From pictures to `lens.toml`: pictures are rendered from the print file, by cameras with known intrinsics."""
+"""From images to `lens.toml`: images are rendered from the print file, by cameras with known intrinsics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from embodied_depth_trainer.camera_calibration.camera import FISHEYE, Camera
 from embodied_depth_trainer.errors import TrainerError
 
 from .cli import run
-from .synthetic import CHARUCO_BOARD, FISH, WIDE, pictures
+from .synthetic import CHARUCO_BOARD, FISH, WIDE, images
 
 # Large tags, because the bits of small ones are lost at the edge of a fisheye's image of 640 pixels.
 SMALL_APRILGRID = Board(APRILGRID, 4, 4, 32.0)
@@ -41,8 +41,8 @@ def board_options(board: Board) -> list[str]:
 def test_pictures_of_a_known_lens_give_its_values_within_the_stated_errors(
     camera: Camera, board: Board, views: int, nearest_mm: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Pictures that are damaged, or without the board, are named and skipped."""
-    folder = save(tmp_path / "pictures", pictures(camera, board, views, 0, nearest_mm))
+    """Images that are damaged, or without the board, are named and skipped."""
+    folder = save(tmp_path / "images", images(camera, board, views, 0, nearest_mm))
     (folder / "80.png").write_bytes((folder / "03.png").read_bytes()[:60])
     (folder / "81.png").write_bytes(b"")
     cv2.imwrite(str(folder / "82.png"), np.full((480, 640), 128, np.uint8))
@@ -84,13 +84,13 @@ def stated_deviations(file: Path) -> Floats:
 
 
 def test_pictures_of_different_sizes_are_refused_with_their_names(tmp_path: Path) -> None:
-    folder = save(tmp_path / "pictures", [np.zeros((480, 640), np.uint8), np.zeros((240, 320), np.uint8)])
+    folder = save(tmp_path / "images", [np.zeros((480, 640), np.uint8), np.zeros((240, 320), np.uint8)])
     with pytest.raises(TrainerError, match=r"different sizes \(320 x 240: 01.png; 640 x 480: 00.png\)"):
         run("images", folder, "--out", tmp_path / "lens.toml")
 
 
 def test_pictures_without_any_board_are_refused(tmp_path: Path) -> None:
-    folder = save(tmp_path / "pictures", [np.zeros((480, 640), np.uint8)] * 2)
+    folder = save(tmp_path / "images", [np.zeros((480, 640), np.uint8)] * 2)
     with pytest.raises(TrainerError, match="the board was found in no picture"):
         run("images", folder, "--out", tmp_path / "lens.toml")
     with pytest.raises(TrainerError, match="there are no images"):
