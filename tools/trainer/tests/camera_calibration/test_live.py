@@ -15,7 +15,7 @@ from embodied_depth_trainer.camera_calibration.views import Observations, View
 from embodied_depth_trainer.errors import TrainerError
 
 from .cli import run
-from .synthetic import CHARUCO_BOARD, WIDE, observations, images
+from .synthetic import CHARUCO_BOARD, WIDE, images, observations
 
 NOTHING = np.zeros((480, 640), np.uint8)
 
