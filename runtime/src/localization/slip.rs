@@ -42,6 +42,9 @@ pub(crate) struct Slip {
     /// Fading sums: what the scans report more than the wheels, and what the wheels report.
     more: Sums,
     wheels: Sums,
+    /// Whether scans that contradict the wheels do so by what the wheels report, in metres and in radians.
+    shift: Contradiction,
+    rotation: Contradiction,
     is_reported: bool,
 }
 
@@ -65,18 +68,46 @@ impl Sums {
     }
 }
 
+/// Compares the wheels with the scans, scan by scan, where they differ. What was driven before is not in it, other than in [`Sums`].
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+struct Contradiction {
+    /// Fading sum of what the scans take back, times what the wheels report.
+    taken_back: f64,
+    /// Fading sum of the squared differences.
+    difference: f64,
+}
+
+impl Contradiction {
+    fn add(&mut self, wheels: [f64; 2], more: [f64; 2]) {
+        self.taken_back = MEMORY * self.taken_back - dot(wheels, more);
+        self.difference = MEMORY * self.difference + dot(more, more);
+    }
+
+    /// 1 when the robot stands and its wheels move, 0 when it is the other way.
+    fn spin_share(&self) -> f64 {
+        self.taken_back / self.difference
+    }
+}
+
+fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
 impl Slip {
     /// The wheels predicted one pose and the scan corrected it to another. Returns an error of the wheels once, when it begins.
     pub(crate) fn observe(&mut self, predicted: &Pose2, corrected: &Pose2) -> Option<WheelError> {
         let last = self.last.replace(*corrected)?;
         let wheels = last.inverse().compose(predicted);
         let scans = last.inverse().compose(corrected);
-        self.wheels.add(&wheels);
-        self.more.add(&Pose2::new(
+        let more = Pose2::new(
             scans.x_m - wheels.x_m,
             scans.y_m - wheels.y_m,
-            scans.yaw_rad - wheels.yaw_rad,
-        ));
+            wrap_angle(scans.yaw_rad - wheels.yaw_rad),
+        );
+        self.wheels.add(&wheels);
+        self.more.add(&more);
+        self.shift.add([wheels.x_m, wheels.y_m], [more.x_m, more.y_m]);
+        self.rotation.add([wheels.yaw_rad, 0.0], [more.yaw_rad, 0.0]);
         let shifted = is_beyond(self.more.length_m(), MOST_M, MOST_SHARE * self.wheels.length_m());
         let rotated =
             is_beyond(self.more.yaw_rad.abs(), MOST_RAD, MOST_SHARE * self.wheels.yaw_rad.abs());
@@ -94,6 +125,10 @@ impl Slip {
 
     /// Wheels that spin report what the scans take back, and wheels that report the wrong direction half of it.
     fn kind(&self, shifted: bool) -> WheelError {
+        let contradiction = if shifted { self.shift } else { self.rotation };
+        if contradiction.spin_share() > SPIN_SHARE {
+            return WheelError::Spin;
+        }
         let [wheels, more] = [self.wheels, self.more];
         let (reported, taken_back, size) = if shifted {
             (wheels.x_m, -more.x_m, more.length_m())
@@ -182,6 +217,35 @@ mod tests {
         assert_eq!(errors, [WheelError::Reversed]);
         // A robot that is pushed back faster than its wheels drive ahead.
         assert_eq!(reported(&ahead, &Pose2::new(-0.1, 0.0, 0.0), 30), [WheelError::Pushed]);
+    }
+
+    /// Two motions after each other: the scans of the first agree with the wheels, and in the second the robot stands.
+    #[test]
+    fn wheels_that_spin_the_other_way_than_the_robot_drove_before_spin() {
+        let ahead = Pose2::new(0.03, 0.0, 0.0);
+        let left = Pose2::new(0.0, 0.0, 0.05);
+        let curve = Pose2::new(0.03, 0.0, 0.05);
+        for (before, spin) in [
+            (ahead, ahead.inverse()),
+            (ahead.inverse(), ahead),
+            (left, left.inverse()),
+            (curve, left.inverse()),
+            (curve, ahead.inverse()),
+            (left, ahead),
+            (ahead, left),
+        ] {
+            let mut slip = Slip::default();
+            let mut pose = Pose2::IDENTITY;
+            let mut errors = Vec::new();
+            for scan in 0..40 {
+                let is_driving = scan < 20;
+                let wheels = if is_driving { before } else { spin };
+                let predicted = pose.compose(&wheels);
+                pose = if is_driving { predicted } else { pose };
+                errors.extend(slip.observe(&predicted, &pose));
+            }
+            assert_eq!(errors, [WheelError::Spin], "{before:?} {spin:?}");
+        }
     }
 
     #[test]
