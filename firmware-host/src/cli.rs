@@ -9,6 +9,7 @@ use clap_complete::Shell;
 use runtime::exploration::PolicyKind;
 use runtime::robot::DepthSource;
 
+use crate::areas::AreaArgs;
 use crate::config::Odometry;
 use crate::faults::FaultArgs;
 use crate::model::ModelArgs;
@@ -158,9 +159,8 @@ pub struct ExploreArgs {
     /// the run ends.
     #[arg(long, value_name = "FILE")]
     pub map: Option<PathBuf>,
-    /// GeoJSON file with polygons that the robot must not enter, in metres of the frame `map`.
-    #[arg(long, value_name = "FILE")]
-    pub keep_out: Option<PathBuf>,
+    #[command(flatten)]
+    pub areas: AreaArgs,
     /// Drive to this place in the frame `map` instead of exploring, X and Y in metres, and stand there.
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, value_parser = parse_place)]
     pub go_to: Option<[f64; 2]>,
@@ -293,9 +293,8 @@ pub struct RunArgs {
     /// the run ends.
     #[arg(long, value_name = "FILE")]
     pub map: Option<PathBuf>,
-    /// GeoJSON file with polygons that the robot must not enter, in metres of the frame `map`.
-    #[arg(long, value_name = "FILE")]
-    pub keep_out: Option<PathBuf>,
+    #[command(flatten)]
+    pub areas: AreaArgs,
     /// Do not record the run. It cannot be replayed then.
     #[arg(long)]
     pub no_recording: bool,

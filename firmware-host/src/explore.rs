@@ -24,7 +24,6 @@ use crate::config::Config;
 use crate::control_panel::ControlPanel;
 use crate::dump::Dump;
 use crate::faults::FaultPlan;
-use crate::keep_out;
 use crate::live::{self, Live};
 use crate::map::KeptMap;
 use crate::model::{Keeper, LiveModels};
@@ -45,7 +44,7 @@ use watched::Watched;
 /// reason `output_failed`, and an error.
 pub fn run(args: &ExploreArgs) -> Result<()> {
     let mut config = args.config.as_deref().map_or_else(|| Ok(Config::default()), Config::load)?;
-    keep_out::close(args.keep_out.as_deref(), args.policy.into(), &mut config)?;
+    args.areas.add_to(args.policy.into(), &mut config)?;
     config.simulator.odometry = args.odometry.unwrap_or(config.simulator.odometry);
     let mut stored = args
         .model_store

@@ -6,6 +6,7 @@
 #[macro_use]
 pub mod output;
 
+pub mod areas;
 pub mod buffer;
 pub mod calibrate;
 pub mod camera_latency;
@@ -25,7 +26,6 @@ pub mod frame_depth;
 pub mod health;
 pub mod identity;
 pub mod init;
-pub mod keep_out;
 pub mod live;
 pub mod localize;
 pub mod logging;

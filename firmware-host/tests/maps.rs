@@ -216,6 +216,23 @@ fn a_robot_stays_within_a_fence_and_the_fence_is_in_the_recording() {
     assert!(replayed(&home.text("fenced")).ends_with("mismatches=0\n"));
 }
 
+#[test]
+fn a_robot_that_keeps_in_an_area_explores_it_ends_there_and_says_that_it_is_done() {
+    let home = Home::new();
+    let reach_m = 0.9;
+    let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+        .map(|[x, y]: [f64; 2]| [reach_m * x, reach_m * y]);
+    let area = serde_json::json!({ "type": "Polygon", "coordinates": [corners] });
+    std::fs::write(home.path("area.geojson"), area.to_string()).unwrap();
+    let path = home.text("area.geojson");
+    let summary = home.explored("kept", "1500", &["--keep-in", &path, "--until-done"]);
+    assert_eq!(summary["end_reason"], "explored", "{summary}");
+    let kept_m = farthest_m(&home, "kept");
+    assert!((0.3..reach_m).contains(&kept_m), "{kept_m} m");
+    std::fs::remove_file(&path).unwrap();
+    assert!(replayed(&home.text("kept")).ends_with("mismatches=0\n"));
+}
+
 fn farthest_m(home: &Home, name: &str) -> f64 {
     let poses = ticks(&home.path(name)).into_iter().map(|tick| tick.t_map_base());
     poses.map(|pose| pose.x_m.abs().max(pose.y_m.abs())).fold(0.0, f64::max)

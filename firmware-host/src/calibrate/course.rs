@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, bail};
 use runtime::event::ExploreEnd;
 
+use crate::areas::AreaArgs;
 use crate::check::confirm;
 use crate::cli::{CalibrateArgs, PolicyArg, RunArgs};
 use crate::config::Config;
@@ -48,7 +49,7 @@ pub fn drive(path: &Path, args: &CalibrateArgs) -> Result<PathBuf> {
         seed: 1,
         status: None,
         map: None,
-        keep_out: None,
+        areas: AreaArgs::default(),
         no_recording: false,
         live: None,
         faults: FaultArgs::default(),

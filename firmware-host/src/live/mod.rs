@@ -35,10 +35,10 @@ use runtime::session::{Devices, Session};
 use runtime::task::{AreaChange, Task};
 use runtime::tick::{Decision, TickInput};
 
+use crate::areas;
 use crate::config::Config;
 use crate::control_panel::ControlPanel;
 use crate::failure;
-use crate::keep_out;
 use crate::map::KeptMap;
 use crate::run::status::Status;
 use encode::{Encoder, Item};
@@ -90,13 +90,14 @@ pub fn socket_of(argument: Option<&Path>, config: &Config) -> Option<PathBuf> {
 /// # Errors
 /// A policy that would enter the areas which were drawn on the map.
 pub fn abilities(map: Option<&KeptMap>, policy: PolicyKind, config: &Config) -> Result<Abilities> {
-    let can_keep_out = keep_out::can_keep_out(policy, config);
+    let can_keep_out = areas::can_keep_out(policy, config);
     let plans_paths = can_keep_out.is_ok();
     let drawn = map.map_or(0, |map| map.area_changes().count());
     if drawn > 0 {
         can_keep_out.context("areas are drawn on the map")?;
     }
-    let keeps_out = !config.planning.keep_out_m.is_empty();
+    let planning = &config.planning;
+    let keeps_out = !planning.keep_out_m.is_empty() || !planning.keep_in_m.is_empty();
     Ok(Abilities { keeps_map: map.is_some(), plans_paths, keeps_out, drawn })
 }
 

@@ -79,7 +79,7 @@ struct Memory {
     goal: Option<(GoalReason, [f64; 2])>,
     /// A person drives the robot by hand.
     by_hand: bool,
-    /// The robot is in an area that it keeps out of.
+    /// The robot is in an area that it keeps out of, or has left those that it keeps in.
     in_closed_area: bool,
 }
 
@@ -134,7 +134,7 @@ impl StateTracker {
         self.memory.goal = explorer.goal().map(|goal| (goal.why, goal.target_m));
         self.memory.by_hand = explorer.is_driven_by_hand();
         let Pose2 { x_m, y_m, yaw_rad } = decision.t_map_base();
-        self.memory.in_closed_area = explorer.keep_out().contains([x_m, y_m]);
+        self.memory.in_closed_area = explorer.keep_out().forbids([x_m, y_m]);
         let words = self.memory.words();
         let [most_mps, most_radps] = robot.speeds();
         let sent = decision.sent.unwrap_or_default();
@@ -253,7 +253,7 @@ impl Memory {
         }
         match self.no_goal {
             Some(NoGoalReason::StartBlocked) if self.in_closed_area => drives(
-                "It is in an area that it keeps out of. Drive it out by hand, or open the areas."
+                "It is where it must not be: in an area that it keeps out of, or outside of the one that it keeps in. Drive it by hand, or open the areas."
                     .to_owned(),
             ),
             Some(NoGoalReason::StartBlocked) => {

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use runtime::task::AreaChange;
 use serde_json::json;
 
-use crate::keep_out;
+use crate::areas;
 use crate::report::atomic::write_atomically;
 
 /// The corners of an area, metres in `map`.
@@ -70,7 +70,7 @@ fn feature(corners_m: &Corners) -> serde_json::Value {
 }
 
 fn read(text: &str) -> Result<Vec<Corners>> {
-    keep_out::polygons(text)?.iter().map(|polygon| corners(polygon)).collect()
+    areas::polygons(text)?.iter().map(|polygon| corners(polygon)).collect()
 }
 
 /// A triangle has its last corner twice.

@@ -44,7 +44,6 @@ use crate::model::{Keeper, LiveModels};
 
 use crate::check::{self, Speed};
 use crate::identity;
-use crate::keep_out;
 use crate::live::{self, Live};
 use crate::map::KeptMap;
 use crate::record::{FaultyDisk, FileSystem, Quota, Recorder, RecorderOptions};
@@ -81,7 +80,7 @@ pub enum Arming {
 /// A configuration, model or folder that cannot be used. An absent device is no error: its driver waits for it.
 pub fn run(args: &RunArgs, arming: Arming) -> Result<ExploreEnd> {
     let mut config = Config::load(&args.config)?;
-    keep_out::close(args.keep_out.as_deref(), args.policy.into(), &mut config)?;
+    args.areas.add_to(args.policy.into(), &mut config)?;
     config.check_devices(&args.config)?;
     check::require(&config, &args.config)?;
     // The lock is taken before anything is opened or written, so that a running instance is not disturbed.

@@ -213,7 +213,7 @@ fn bash_completes_commands_and_the_options_of_a_command() {
     let script = firmware_host(&["completions", "bash"]).stdout;
     // The words of the line, and the words that complete the last one.
     for (line, expected) in
-        [("firmware-host camera", "camera-latency"), ("firmware-host run --keep", "--keep-out")]
+        [("firmware-host camera", "camera-latency"), ("firmware-host run --keep-o", "--keep-out")]
     {
         let words: Vec<&str> = line.split(' ').collect();
         let ask = format!(

@@ -109,21 +109,28 @@ fn wheel_errors(ticks: &[RecordedTick]) -> Vec<WheelError> {
     errors.collect()
 }
 
-/// A place 2 m from here with open floor between, so that the robot has seen it, and another heading.
+/// Things are this much further away than the robot's body where a robot is put, so that it can drive on in every direction.
+const ROOM_M: f64 = 0.2;
+
+/// A place about 2 m from here with open floor between, so that the robot has seen it, with room around it, and another heading.
 fn two_metres_from(home: &Home, here: &Pose2) -> Pose2 {
     let plan = home.world().floor_plan();
     let place = |bearing_rad: f64, metres: f64| {
         let (sin, cos) = bearing_rad.sin_cos();
         Pose2::new(here.x_m + metres * cos, here.y_m + metres * sin, here.yaw_rad + 2.0)
     };
+    let fits_near = |at: &Pose2, radius_m: f64| {
+        (0..8).all(|eighth| {
+            let (sin, cos) = (f64::from(eighth) * TAU / 8.0).sin_cos();
+            plan.fits(at.x_m + radius_m * cos, at.y_m + radius_m * sin, &[])
+        })
+    };
     let bearings = (0..72).map(|step| f64::from(step) * TAU / 72.0);
     let open_m = |bearing_rad: f64| {
         let steps = (1..=20).map(|step| 0.1 * f64::from(step));
         steps
-            .take_while(|metres| {
-                let Pose2 { x_m, y_m, .. } = place(bearing_rad, *metres);
-                plan.fits(x_m, y_m, &[])
-            })
+            .take_while(|metres| fits_near(&place(bearing_rad, *metres), 0.0))
+            .filter(|metres| fits_near(&place(bearing_rad, *metres), ROOM_M))
             .last()
             .unwrap_or(0.0)
     };

@@ -151,7 +151,7 @@ impl Survey<'_> {
             .iter()
             .filter(|frontier| {
                 let approach_m = frontier.approach.center_m(self.cell_m);
-                !self.keep_out.contains(frontier.centroid_m) && !self.keep_out.contains(approach_m)
+                !self.keep_out.forbids(frontier.centroid_m) && !self.keep_out.forbids(approach_m)
             })
             .map(|frontier| {
                 let approach = self.reach.nearest(frontier.approach, APPROACH_RADIUS_M);

@@ -41,6 +41,9 @@ hal::settings! {
         /// Areas that no path enters, each a list of corners in `map`, such as `[[[1.0, 0.0], [2.0, 0.0], [2.0, 1.0]]]`.
         /// `--keep-out FILE` adds those of a GeoJSON file.
         keep_out_m: Vec<Vec<[f64; 2]>> = Vec::new(), in -1000.0..=1000.0, unit "m";
+        /// Areas that no path leaves, in the same form; none: the robot may drive anywhere. `--keep-in FILE` adds those of a GeoJSON
+        /// file.
+        keep_in_m: Vec<Vec<[f64; 2]>> = Vec::new(), in -1000.0..=1000.0, unit "m";
         /// A search gives up after it has expanded this many cells.
         max_expanded: usize = 4_000_000, in 1..=1000000000, unit "cells";
         /// The robot steers for the point of the path that is this far ahead.
@@ -74,6 +77,7 @@ impl PlanningSection {
             unknown_cost: self.unknown_cost,
             padding_m: self.padding_m,
             keep_out_m: self.keep_out_m.clone(),
+            keep_in_m: self.keep_in_m.clone(),
             max_expanded: self.max_expanded,
         }
     }
@@ -108,6 +112,8 @@ pub struct PlanConfig {
     pub padding_m: f64,
     /// Areas that no path enters: corners in `map`.
     pub keep_out_m: Vec<Vec<[f64; 2]>>,
+    /// Areas that no path leaves; none: it may go anywhere.
+    pub keep_in_m: Vec<Vec<[f64; 2]>>,
     pub max_expanded: usize,
 }
 
@@ -139,6 +145,7 @@ impl PlanConfig {
             unknown_cost: self.unknown_cost,
             padding_m: self.padding_m,
             keep_out_m: self.keep_out_m.clone(),
+            keep_in_m: self.keep_in_m.clone(),
             max_expanded: self.max_expanded,
             ..PlanningSection::default()
         };

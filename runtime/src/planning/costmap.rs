@@ -62,7 +62,7 @@ impl Costmap {
         config.validate()?;
         let mut costmap = Self {
             config: config.clone(),
-            keep_out: KeepOut::new(config.keep_out_m.clone()),
+            keep_out: KeepOut::new(config.keep_out_m.clone(), config.keep_in_m.clone()),
             cell_m: 1.0,
             cells: CellBox::of(Cell::default()),
             stride: 3,
@@ -230,7 +230,7 @@ impl Costmap {
         self.keep_out.write_row(cells, y, grid.cell_m(), f32::INFINITY, values);
     }
 
-    /// The areas that a person has closed.
+    /// The areas that a person has closed, and those that the robot must not leave.
     #[must_use]
     pub fn keep_out(&self) -> &KeepOut {
         &self.keep_out

@@ -1,15 +1,17 @@
-//! Areas that a person has closed for the robot.
+//! Areas that a person has closed for the robot, and areas that it must not leave.
 
 use crate::mapping::CellBox;
 use crate::snapshot::remembers;
 use crate::task::AreaChange;
 
-/// Polygons in `map`. Every cell that a polygon covers or touches counts as occupied for the planner; the map itself does not
-/// change.
+/// Polygons in `map`. Every cell that a closed area covers or touches counts as occupied for the planner. Where there are areas to
+/// keep in, so does every cell whose middle lies in none of them. The map itself does not change.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct KeepOut {
     /// Those of the configuration, each with its corners in order, metres.
     configured_m: Vec<Vec<[f64; 2]>>,
+    /// The areas that the robot must not leave. If there are none, it may drive anywhere.
+    keep_in_m: Vec<Vec<[f64; 2]>>,
     /// Those that a person has drawn during the run.
     drawn_m: Vec<[[f64; 2]; 4]>,
 }
@@ -17,10 +19,11 @@ pub struct KeepOut {
 remembers!(KeepOut: drawn_m);
 
 impl KeepOut {
-    /// Areas with these corners, in metres. An area with fewer than three corners is a point or a line.
+    /// Closed areas, and areas to keep in, with these corners in metres. A closed area with fewer than three corners is a point or a
+    /// line.
     #[must_use]
-    pub fn new(configured_m: Vec<Vec<[f64; 2]>>) -> Self {
-        Self { configured_m, drawn_m: Vec::new() }
+    pub fn new(closed_m: Vec<Vec<[f64; 2]>>, keep_in_m: Vec<Vec<[f64; 2]>>) -> Self {
+        Self { configured_m: closed_m, keep_in_m, drawn_m: Vec::new() }
     }
 
     /// Closes an area, or opens those that were closed by changes.
@@ -31,8 +34,12 @@ impl KeepOut {
         }
     }
 
-    /// The corners of every area, metres in `map`; first those of the configuration, then those that were drawn.
+    /// The corners of every area, metres in `map`: those to keep in, those that the configuration closes, and those that were drawn.
     pub fn polygons_m(&self) -> impl Iterator<Item = &[[f64; 2]]> {
+        self.keep_in_m.iter().map(Vec::as_slice).chain(self.closed_m())
+    }
+
+    fn closed_m(&self) -> impl Iterator<Item = &[[f64; 2]]> {
         let drawn_m = self.drawn_m.iter().map(<[[f64; 2]; 4]>::as_slice);
         self.configured_m.iter().map(Vec::as_slice).chain(drawn_m)
     }
@@ -40,19 +47,18 @@ impl KeepOut {
     /// Whether there is no area.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.configured_m.is_empty() && self.drawn_m.is_empty()
+        self.polygons_m().next().is_none()
     }
 
-    /// Whether a point in `map` lies in an area.
+    /// Whether the robot must not be at a point in `map`: it lies in a closed area, or in none of those to keep in.
     #[must_use]
-    pub fn contains(&self, [x_m, y_m]: [f64; 2]) -> bool {
-        self.polygons_m().any(|polygon| {
-            let crossings = edges(polygon).filter_map(|edge| crossing_m(edge, y_m));
-            crossings.filter(|crossing_m| *crossing_m <= x_m).count() % 2 == 1
-        })
+    pub fn forbids(&self, at_m: [f64; 2]) -> bool {
+        let is_outside = !self.keep_in_m.is_empty()
+            && !self.keep_in_m.iter().any(|polygon| lies_in(polygon, at_m));
+        is_outside || self.closed_m().any(|polygon| lies_in(polygon, at_m))
     }
 
-    /// Writes `value` into each cell of a row that an area covers or touches. `row` begins at the left of `cells`.
+    /// Writes `value` into each cell of a row that is closed. `row` begins at the left of `cells`.
     pub(super) fn write_row(
         &self,
         cells: CellBox,
@@ -61,16 +67,22 @@ impl KeepOut {
         value: f32,
         row: &mut [f32],
     ) {
-        for polygon in self.polygons_m() {
-            let bottom_m = f64::from(y) * cell_m;
-            let middle_m = bottom_m + 0.5 * cell_m;
-            let mut crossings: Vec<f64> =
-                edges(polygon).filter_map(|edge| crossing_m(edge, middle_m)).collect();
-            crossings.sort_by(f64::total_cmp);
-            let inside = crossings.as_chunks::<2>().0.iter().copied();
+        let bottom_m = f64::from(y) * cell_m;
+        let middle_m = bottom_m + 0.5 * cell_m;
+        if !self.keep_in_m.is_empty() {
+            let open: Vec<_> =
+                self.keep_in_m.iter().flat_map(|polygon| spans_m(polygon, middle_m)).collect();
+            for (column, cell) in row.iter_mut().enumerate() {
+                let x_m = (f64::from(cells.min.x) + column as f64 + 0.5) * cell_m;
+                if !open.iter().any(|[from_m, to_m]| (*from_m..*to_m).contains(&x_m)) {
+                    *cell = value;
+                }
+            }
+        }
+        for polygon in self.closed_m() {
             let touched =
                 edges(polygon).filter_map(|edge| within(edge, bottom_m, bottom_m + cell_m));
-            for [from_m, to_m] in inside.chain(touched) {
+            for [from_m, to_m] in spans_m(polygon, middle_m).into_iter().chain(touched) {
                 let [from, to] = [from_m, to_m]
                     .map(|x_m| (x_m / cell_m).floor() as i64 - i64::from(cells.min.x));
                 let from = from.clamp(0, row.len() as i64) as usize;
@@ -86,6 +98,18 @@ type Edge = [[f64; 2]; 2];
 /// The sides of a polygon, the last one back to its first corner.
 fn edges(polygon: &[[f64; 2]]) -> impl Iterator<Item = Edge> + '_ {
     polygon.iter().zip(polygon.iter().cycle().skip(1)).map(|(from, to)| [*from, *to])
+}
+
+fn lies_in(polygon: &[[f64; 2]], [x_m, y_m]: [f64; 2]) -> bool {
+    let crossings = edges(polygon).filter_map(|edge| crossing_m(edge, y_m));
+    crossings.filter(|crossing_m| *crossing_m <= x_m).count() % 2 == 1
+}
+
+/// The parts of the line of this y that lie in a polygon.
+fn spans_m(polygon: &[[f64; 2]], y_m: f64) -> Vec<[f64; 2]> {
+    let mut crossings: Vec<f64> = edges(polygon).filter_map(|edge| crossing_m(edge, y_m)).collect();
+    crossings.sort_by(f64::total_cmp);
+    crossings.as_chunks::<2>().0.to_vec()
 }
 
 /// Where an edge crosses the line of this y. The lower end of an edge belongs to it and the upper one does not, so that a corner
@@ -136,7 +160,7 @@ mod tests {
     #[test]
     fn a_square_closes_its_cells_and_no_other() {
         let square = vec![[0.01, 0.01], [0.49, 0.01], [0.49, 0.29], [0.01, 0.29]];
-        let closed = closed(&KeepOut::new(vec![square]));
+        let closed = closed(&KeepOut::new(vec![square], Vec::new()));
         for (row, cells) in closed.iter().enumerate() {
             for (column, is_closed) in cells.iter().enumerate() {
                 let inside = (20..25).contains(&column) && (20..23).contains(&row);
@@ -148,20 +172,41 @@ mod tests {
     #[test]
     fn drawn_areas_are_closed_until_they_are_opened_and_configured_ones_for_ever() {
         let triangle = vec![[-1.0, -1.0], [-0.5, -1.0], [-0.5, -0.5]];
-        let mut keep_out = KeepOut::new(vec![triangle]);
+        let mut keep_out = KeepOut::new(vec![triangle], Vec::new());
         let configured = closed(&keep_out);
         let corners_m = [[0.01, 0.01], [0.49, 0.01], [0.49, 0.29], [0.01, 0.29]];
         keep_out.change(AreaChange::Close { corners_m });
-        assert!(keep_out.contains([0.2, 0.1]) && closed(&keep_out)[21][22]);
+        assert!(keep_out.forbids([0.2, 0.1]) && closed(&keep_out)[21][22]);
         assert_eq!(keep_out.polygons_m().count(), 2);
         keep_out.change(AreaChange::OpenAll);
-        assert!(!keep_out.contains([0.2, 0.1]));
+        assert!(!keep_out.forbids([0.2, 0.1]));
         assert_eq!(closed(&keep_out), configured);
     }
 
     #[test]
+    fn outside_of_the_areas_to_keep_in_every_cell_is_closed_and_areas_that_meet_have_no_wall_between()
+     {
+        let left = vec![[-1.0, 0.0], [0.01, 0.0], [0.01, 1.0], [-1.0, 1.0]];
+        let right = vec![[0.01, 0.0], [1.0, 0.0], [1.0, 1.0], [0.01, 1.0]];
+        let mut keep_out = KeepOut::new(Vec::new(), vec![left, right]);
+        for (row, cells) in closed(&keep_out).iter().enumerate() {
+            for (column, is_closed) in cells.iter().enumerate() {
+                let inside = (10..30).contains(&column) && (20..30).contains(&row);
+                assert_eq!(*is_closed, !inside, "{column} {row}");
+            }
+        }
+        assert!(
+            !keep_out.is_empty() && keep_out.forbids([0.5, -0.1]) && !keep_out.forbids([0.5, 0.5])
+        );
+        // A closed area inside of them is closed.
+        let corners_m = [[0.41, 0.41], [0.59, 0.41], [0.59, 0.59], [0.41, 0.59]];
+        keep_out.change(AreaChange::Close { corners_m });
+        assert!(keep_out.forbids([0.5, 0.5]) && closed(&keep_out)[25][25]);
+    }
+
+    #[test]
     fn a_line_closes_a_path_of_cells_without_gaps() {
-        let closed = closed(&KeepOut::new(vec![vec![[-1.5, -1.2], [1.4, 1.3]]]));
+        let closed = closed(&KeepOut::new(vec![vec![[-1.5, -1.2], [1.4, 1.3]]], Vec::new()));
         let first = 8;
         let last = 33;
         for row in first..last {
@@ -172,19 +217,32 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_cell_whose_middle_lies_in_an_area_is_closed(polygon in polygon()) {
-            let keep_out = KeepOut::new(vec![polygon]);
+        fn a_cell_is_open_where_its_middle_lies_in_an_area_to_keep_in_and_nowhere_else(
+            areas in prop::collection::vec(polygon(), 1..4),
+        ) {
+            let keep_out = KeepOut::new(Vec::new(), areas);
             for (row, cells) in closed(&keep_out).iter().enumerate() {
                 for (column, is_closed) in cells.iter().enumerate() {
                     let middle = [column, row].map(|at| (at as f64 - 20.0 + 0.5) * CELL_M);
-                    prop_assert!(*is_closed || !keep_out.contains(middle));
+                    prop_assert_eq!(*is_closed, keep_out.forbids(middle));
+                }
+            }
+        }
+
+        #[test]
+        fn every_cell_whose_middle_lies_in_an_area_is_closed(polygon in polygon()) {
+            let keep_out = KeepOut::new(vec![polygon], Vec::new());
+            for (row, cells) in closed(&keep_out).iter().enumerate() {
+                for (column, is_closed) in cells.iter().enumerate() {
+                    let middle = [column, row].map(|at| (at as f64 - 20.0 + 0.5) * CELL_M);
+                    prop_assert!(*is_closed || !keep_out.forbids(middle));
                 }
             }
         }
 
         #[test]
         fn cells_far_from_an_area_stay_open(polygon in polygon()) {
-            let keep_out = KeepOut::new(vec![polygon.clone()]);
+            let keep_out = KeepOut::new(vec![polygon.clone()], Vec::new());
             let low = [0, 1].map(|axis| polygon.iter().map(|at| at[axis]).fold(9.0, f64::min));
             let high = [0, 1].map(|axis| polygon.iter().map(|at| at[axis]).fold(-9.0, f64::max));
             for (row, cells) in closed(&keep_out).iter().enumerate() {

@@ -1,11 +1,12 @@
-//! `--keep-out FILE`: areas that the robot must not enter, from a GeoJSON file.
+//! `--keep-out FILE` and `--keep-in FILE`: areas that the robot must not enter, or not leave, from GeoJSON files.
 //!
 //! The polygons become part of the configuration, and with it of the recording, so that a replay needs no file. Their coordinates
 //! are metres in `map`, as in the `walls.geojson` of `firmware-host map export`, and not the degrees of RFC 7946.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
+use clap::Args;
 use runtime::exploration::PolicyKind;
 use serde_json::Value;
 
@@ -14,43 +15,70 @@ use crate::config::Config;
 /// The corners of an area, metres.
 pub type Polygon = Vec<[f64; 2]>;
 
-/// Adds the areas of a file to the configuration, and checks that the policy can keep out of all areas.
-///
-/// # Errors
-/// A file that cannot be read or has other shapes than polygons without holes; a policy that drives without a path.
-pub fn close(file: Option<&Path>, policy: PolicyKind, config: &mut Config) -> Result<()> {
-    if let Some(path) = file {
-        let text = std::fs::read_to_string(path).with_context(|| {
-            format!("cannot read {}; --keep-out needs a GeoJSON file with polygons", path.display())
-        })?;
-        let polygons = polygons(&text).with_context(|| named(path))?;
-        if polygons.is_empty() {
-            return Err(anyhow!("the file has no polygon")).with_context(|| named(path));
+/// The files with areas.
+#[derive(Args, Debug, Clone, Default)]
+pub struct AreaArgs {
+    /// GeoJSON file with polygons that the robot must not enter, in metres of the frame `map`.
+    #[arg(long, value_name = "FILE")]
+    pub keep_out: Option<PathBuf>,
+    /// GeoJSON file with polygons that the robot must not leave, in metres of the frame `map`. It explores only there.
+    #[arg(long, value_name = "FILE")]
+    pub keep_in: Option<PathBuf>,
+}
+
+impl AreaArgs {
+    /// Adds the areas of the files to the configuration, and checks that the policy can respect all areas.
+    ///
+    /// # Errors
+    /// A file that cannot be read or has other shapes than polygons without holes; a policy that drives without a path.
+    pub fn add_to(&self, policy: PolicyKind, config: &mut Config) -> Result<()> {
+        if let Some(path) = &self.keep_out {
+            config.planning.keep_out_m.extend(read("--keep-out", path)?);
         }
-        config.planning.keep_out_m.extend(polygons);
+        if let Some(path) = &self.keep_in {
+            config.planning.keep_in_m.extend(read("--keep-in", path)?);
+        }
         config.plan_config().validate()?;
+        if config.planning.keep_in_m.iter().any(|area| area.len() < 3) {
+            bail!(
+                "planning.keep_in_m: an area has fewer than three corners, and no robot fits into it"
+            );
+        }
+        let areas = [&config.planning.keep_out_m, &config.planning.keep_in_m];
+        if areas.iter().all(|areas| areas.is_empty()) {
+            return Ok(());
+        }
+        can_keep_out(policy, config)
     }
-    if config.planning.keep_out_m.is_empty() { Ok(()) } else { can_keep_out(policy, config) }
 }
 
-fn named(path: &Path) -> String {
-    format!("--keep-out {}", path.display())
+/// The polygons of the file that this option names.
+fn read(option: &str, path: &Path) -> Result<Vec<Polygon>> {
+    let named = || format!("{option} {}", path.display());
+    let text = std::fs::read_to_string(path).with_context(|| {
+        format!("cannot read {}; {option} needs a GeoJSON file with polygons", path.display())
+    })?;
+    let polygons = polygons(&text).with_context(named)?;
+    if polygons.is_empty() {
+        return Err(anyhow!("the file has no polygon")).with_context(named);
+    }
+    Ok(polygons)
 }
 
-/// Whether a robot with this policy can keep out of areas.
+/// Whether a robot with this policy can keep out of areas, or in them.
 ///
 /// # Errors
 /// Why it cannot.
 pub fn can_keep_out(policy: PolicyKind, config: &Config) -> Result<()> {
     if !policy.plans_paths() {
         bail!(
-            "the policy `{}` plans no paths and would enter the closed areas; use --policy active, frontier or inconsistency",
+            "the policy `{}` plans no paths and would enter closed areas, or leave the allowed ones; use --policy active, frontier or inconsistency",
             policy.name()
         );
     }
     if config.exploration.warm_up_frames > 0 {
         bail!(
-            "the robot plans no paths in exploration.warm_up_frames and would enter the closed areas; set it to 0"
+            "the robot plans no paths in exploration.warm_up_frames and would enter closed areas, or leave the allowed ones; set it to 0"
         );
     }
     Ok(())
@@ -156,6 +184,10 @@ mod tests {
 
     #[test]
     fn a_policy_without_paths_and_a_corner_far_away_are_refused() {
+        let close = |file: Option<&Path>, policy, config: &mut Config| {
+            let areas = AreaArgs { keep_out: file.map(Path::to_owned), keep_in: None };
+            areas.add_to(policy, config)
+        };
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("closed.geojson");
         std::fs::write(&path, geometry("Polygon", SQUARE)).unwrap();
@@ -171,5 +203,22 @@ mod tests {
         // Degrees times 1e5 are no metres of a home.
         std::fs::write(&path, geometry("Polygon", "[[[5e6,0],[5e6,1],[4e6,1],[5e6,0]]]")).unwrap();
         assert!(close(Some(&path), PolicyKind::Active, &mut Config::default()).is_err());
+    }
+
+    #[test]
+    fn areas_to_keep_in_are_read_need_a_policy_with_paths_and_three_corners() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("room.geojson");
+        std::fs::write(&path, geometry("Polygon", SQUARE)).unwrap();
+        let areas = AreaArgs { keep_out: None, keep_in: Some(path) };
+        let mut config = Config::default();
+        areas.add_to(PolicyKind::Frontier, &mut config).unwrap();
+        let planning = &config.planning;
+        assert_eq!((planning.keep_in_m.len(), planning.keep_out_m.len()), (1, 0));
+        let error = areas.add_to(PolicyKind::Forward, &mut Config::default()).unwrap_err();
+        assert!(error.to_string().contains("leave the allowed ones"), "{error}");
+        config.planning.keep_in_m.push(vec![[0.0, 0.0], [1.0, 0.0]]);
+        let error = AreaArgs::default().add_to(PolicyKind::Frontier, &mut config).unwrap_err();
+        assert!(error.to_string().contains("planning.keep_in_m"), "{error}");
     }
 }
