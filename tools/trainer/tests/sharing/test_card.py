@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from embodied_depth_trainer.commands.cli import main
+from embodied_depth_trainer.export.depth import DepthExport, export_depth
 from embodied_depth_trainer.sharing.cards import table
 from embodied_depth_trainer.store.dataset import open_dataset
 from embodied_depth_trainer.store.listing import freeze, segments_of
@@ -252,6 +253,29 @@ def test_the_card_of_a_list_is_of_its_shards_only(
     assert (said["runs"], said["segments"], said["frames"]) == ("1", "1", "30")
     assert f"# Dataset {version.name}\n" in text
     assert "vacuum" not in text
+
+
+def test_a_flow_network_predicts_no_depth(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = without_metadata(tmp_path / "flow.onnx", "input_width", "input_height")
+    model = onnx.load(str(file))
+    model.metadata_props.add(key="kind", value="flow")
+    model.graph.output[0].name = "flow"
+    onnx.save(model, str(file))
+    front, text = card(capsys, file)
+    assert "pipeline_tag" not in front
+    assert "optical-flow" in front["tags"]
+    assert "motion from the first to the second image in pixels" in text
+    assert "## Calibration" not in text
+    assert "depth range" not in text
+
+
+def test_a_network_with_a_cost_volume_names_its_planes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "manydepth.onnx"
+    export_depth(DepthExport("manydepth_r18", (32, 64), random=True), file)
+    _, text = card(capsys, file)
+    assert "| input | `volume` | 1x96x8x16 | matching cost of planes from 20.0 m to 0.3 m:" in text
+    assert "| output | `disparity` | 1x1x32x64 | depth along the optical axis as x in 0..1 |" in text
+    assert rows(text)["weights"] == "random"
 
 
 def test_a_value_does_not_break_a_table() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -218,6 +219,39 @@ def test_a_dataset_comes_back_as_the_same_version(
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/file").touch()
     assert "is not empty" in failed(capsys, *download[:-1], tmp_path / "mine")
+
+
+def test_another_dataset_than_expected_is_refused(
+    hub: FakeHub, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert hub_main("upload", DATASET[1], store.folder) == 0
+    version = open_dataset([store]).version
+    got = ("--type", "dataset", "--expect", "0123456789abcdef", "--out", tmp_path / "got")
+    said = failed(capsys, "download", DATASET[1], *got)
+    assert f"holds dataset {version.name}, expected 0123456789abcdef; do not use it" in said
+    assert not (tmp_path / "got").exists()
+    # The name of the list alone is not believed.
+    repo = hub.repos[DATASET]
+    files = dict(repo.commits[repo.at("main") or ""])
+    files["frozen/0123456789abcdef.json"] = files.pop(f"frozen/{version.name}.json")
+    repo.add(files)
+    said = failed(capsys, "download", DATASET[1], *got)
+    assert f"0123456789abcdef.json lists dataset {version.name}; do not use it" in said
+
+
+def test_a_list_that_was_changed_is_refused(
+    hub: FakeHub, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert hub_main("upload", DATASET[1], store.folder) == 0
+    version = open_dataset([store]).version
+    repo = hub.repos[DATASET]
+    files = dict(repo.commits[repo.at("main") or ""])
+    listed = f"frozen/{version.name}.json"
+    plain = json.loads(files[listed])
+    del plain["shards"][0]
+    repo.add({**files, listed: json.dumps(plain).encode()})
+    said = failed(capsys, "download", DATASET[1], "--type", "dataset", "--out", tmp_path / "got")
+    assert f"{listed} was changed" in said
 
 
 def test_nothing_that_is_uploaded_names_the_folders_of_the_user(hub: FakeHub, store: Store, tmp_path: Path) -> None:

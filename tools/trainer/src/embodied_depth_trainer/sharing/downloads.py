@@ -68,6 +68,13 @@ def download_dataset(found: Snapshot, expected: str | None, out: Path) -> Datase
             f"{found.repository} is no store of shards: {f'it holds {odd[0]}' if odd else 'it has no recipe.json'}; "
             "give a repository that `embodied-depth hub upload` filled"
         )
+    # The list is named by its version, so that nothing else has to be downloaded first.
+    listed = [path for path in names if path.startswith("frozen/")]
+    if len(listed) != 1:
+        raise TrainerError(f"{found.repository} lists {len(listed)} datasets instead of one; upload it again")
+    held = Path(listed[0]).stem
+    if expected is not None and held != expected:
+        raise TrainerError(f"{found.repository} holds dataset {held}, expected {expected}; do not use it")
     if out.exists() and any(out.iterdir()) and not (out / LIBRARY_FOLDER).is_dir():
         raise TrainerError(f"{out} is not empty; give another --out, or one whose download was interrupted")
     # Images of a home are private.
@@ -75,10 +82,8 @@ def download_dataset(found: Snapshot, expected: str | None, out: Path) -> Datase
     download_all(found, [*DATASET_PATTERNS, CARD_FILE], out)
     for name in names:
         found.check(name, out / name)
-    listed = [read_version(out / name) for name in names if name.startswith("frozen/")]
-    if len(listed) != 1:
-        raise TrainerError(f"{found.repository} lists {len(listed)} datasets instead of one; upload it again")
-    if expected is not None and listed[0].name != expected:
-        raise TrainerError(f"{found.repository} holds dataset {listed[0].name}, expected {expected}; do not use it")
-    open_dataset([Store(out)], only=listed[0])
-    return listed[0]
+    version = read_version(out / listed[0])
+    if version.name != held:
+        raise TrainerError(f"{out / listed[0]} lists dataset {version.name}; do not use it")
+    open_dataset([Store(out)], only=version)
+    return version

@@ -25,7 +25,7 @@ GOLDEN_TOLERANCE = 1e-2
 
 
 def examine(file: Path) -> float:
-    """Refuses a file that the gate would refuse by itself. Returns the difference from its golden output."""
+    """Refuses a file that no gate would accept. Returns the difference from its golden output."""
     _check_form(file)
     network = OnnxNetwork(file)
     try:
