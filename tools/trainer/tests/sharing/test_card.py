@@ -255,6 +255,12 @@ def test_the_card_of_a_list_is_of_its_shards_only(
     assert "vacuum" not in text
 
 
+def test_numbers_of_a_network_are_not_left_out_of_the_card_of_a_dataset(
+    capsys: pytest.CaptureFixture[str], store: Store
+) -> None:
+    assert f"{store.folder} is a dataset; --results" in failed(capsys, store.folder, "--results", "results.json")
+
+
 def test_a_flow_network_predicts_no_depth(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = without_metadata(tmp_path / "flow.onnx", "input_width", "input_height")
     model = onnx.load(str(file))

@@ -33,7 +33,7 @@ def add_described(command: argparse.ArgumentParser) -> None:
         "--store", type=Path, action="append", default=[], help="the store of a list of shards; may be repeated"
     )
     command.add_argument(
-        "--license", metavar="ID", help="licence, for example mit or cc-by-4.0 [the card says that none]"
+        "--license", metavar="ID", help="licence, for example mit or cc-by-4.0 [none, as the card says]"
     )
     command.add_argument(
         "--results", type=Path, metavar="FILE", help="numbers of a network that `evaluate --json FILE` wrote"
@@ -75,6 +75,10 @@ def card_of(options: argparse.Namespace) -> str:
         from embodied_depth_trainer.sharing.model_card import model_card
 
         return model_card(options.path, words)
+    if options.results or options.measured_on or options.base_model or options.trained_on:
+        raise TrainerError(
+            f"{options.path} is a dataset; --results, --measured-on, --base-model and --trained-on are for networks"
+        )
     return dataset_card(Contents(*dataset_of(options)), words)
 
 
