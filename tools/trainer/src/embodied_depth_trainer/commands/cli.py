@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from embodied_depth_trainer import __version__
 from embodied_depth_trainer.commands import experiment
 from embodied_depth_trainer.errors import TrainerError
 
@@ -71,6 +72,8 @@ COMMANDS = {
     ),
     "watch": _command("watch", "train on recordings as pull-buffer brings them, and pass each network to a command"),
     "provenance": _command("provenance", "say what a model was trained on, from which weights and for how many steps"),
+    "card": _command("card", "write the card of a network or a dataset for a model hub, from what the files say"),
+    "hub": _command("hub", "upload a network or a dataset to a model hub, or download and check one"),
     "export": _command("export", "export a trained network as an ONNX file for the robot"),
 }
 
@@ -78,6 +81,7 @@ COMMANDS = {
 def parser(chosen: str | None) -> argparse.ArgumentParser:
     """All commands, with the options of the chosen one."""
     top = argparse.ArgumentParser(prog="embodied-depth", description=__doc__)
+    top.add_argument("--version", action="version", version=f"embodied-depth {__version__}")
     commands = top.add_subparsers(dest="command", required=True)
     for name, command in COMMANDS.items():
         added = commands.add_parser(name, help=command.help, description=command.help)

@@ -1,0 +1,1 @@
+"""Networks and datasets for others: cards that describe them, and upload to and download from a model hub."""
