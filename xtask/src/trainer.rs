@@ -8,7 +8,8 @@ use anyhow::Result;
 use crate::{command, paths, python};
 
 /// Imports PyTorch, which the command's help does without, and the packages of the tests that were added last.
-const NEWEST_PACKAGES: &str = "import torch, xdist, pyarrow, rosbags, mcap_ros2, yaml";
+const NEWEST_PACKAGES: &str =
+    "import torch, xdist, pyarrow, rosbags, mcap_ros2, yaml, huggingface_hub";
 
 /// Whether the trainer is installed.
 pub fn is_installed() -> bool {
