@@ -5,7 +5,7 @@ use std::str::FromStr;
 use clap::Args;
 use drivers::fault::{Fault, FaultTextError, Faults, Now, random_faults};
 
-use crate::cli::whole_number;
+use crate::cli::values::whole_number;
 
 /// The options that inject faults.
 #[derive(Debug, Args, Clone, Default)]

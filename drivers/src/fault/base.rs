@@ -4,8 +4,8 @@ use hal::{Base, DriveCommand, ErrorType, PowerReport, StopCause, WheelFeedback};
 
 use super::error::{Faulty, FaultyError, Symptom};
 use super::injector::{Faults, Injector};
+use super::kind::{Device, Kind};
 use super::reorder_buffer::ReorderBuffer;
-use super::schedule::{Device, Kind};
 
 /// Wraps a base and injects faults. A stop command is lost only while the base is unplugged; its
 /// own watchdog stops it then.

@@ -5,8 +5,8 @@ use rand::RngExt;
 
 use super::error::{Faulty, FaultyError};
 use super::injector::{Faults, Injector};
+use super::kind::{Device, Kind};
 use super::reorder_buffer::ReorderBuffer;
-use super::schedule::{Device, Kind};
 
 /// Wraps a camera and injects faults into its frames.
 pub struct FaultyCamera<C> {

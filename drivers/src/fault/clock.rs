@@ -3,7 +3,7 @@
 use hal::Clock;
 
 use super::injector::{Faults, Injector};
-use super::schedule::{Device, Kind};
+use super::kind::{Device, Kind};
 
 /// Wraps a clock and wakes its sleepers late.
 pub struct FaultyClock<C> {

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use hal::ErrorKind;
 
-use super::schedule::{Device, Kind, kinds_of};
+use super::kind::{Device, Kind, kinds_of};
 
 /// A text that cannot be parsed as a [`Fault`](super::Fault).
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

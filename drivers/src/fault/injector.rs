@@ -6,7 +6,8 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::error::{FaultyError, Symptom};
-use super::schedule::{Device, Fault, Kind};
+use super::kind::{Device, Kind};
+use super::schedule::Fault;
 use crate::{DeviceState, DeviceStatus};
 
 /// Returns the nanoseconds since the start of the run. Called on every thread that has a wrapped

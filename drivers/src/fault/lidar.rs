@@ -5,8 +5,8 @@ use rand::RngExt;
 
 use super::error::{Faulty, FaultyError};
 use super::injector::{Faults, Injector};
+use super::kind::{Device, Kind};
 use super::reorder_buffer::ReorderBuffer;
-use super::schedule::{Device, Kind};
 
 /// Distance of ghost obstacles, metres: inside of every stop zone.
 const GHOST_M: f32 = 0.15;

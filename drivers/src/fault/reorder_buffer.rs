@@ -1,7 +1,7 @@
 //! Injects readings that arrive late, twice, or in the wrong order.
 
 use super::injector::Injector;
-use super::schedule::Kind;
+use super::kind::Kind;
 
 /// Passes readings through these faults. All of its memory is allocated when it is made.
 pub(super) struct ReorderBuffer<T> {

@@ -14,14 +14,16 @@ mod error;
 mod lidar;
 mod revolution;
 mod sample;
+mod settings;
 mod stream;
 
 pub(crate) use device::Device;
-pub(crate) use lidar::Settings;
+pub(crate) use settings::Settings;
 
 pub use clock::{RevolutionClock, RevolutionTime, SLOWER};
 pub use device::WireError;
 pub use error::RotaryError;
-pub use lidar::{Place, RotaryLidar};
+pub use lidar::RotaryLidar;
 pub use revolution::{Mount, Revolution, circle};
 pub use sample::{Event, Sample};
+pub use settings::Place;

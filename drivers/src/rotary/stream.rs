@@ -8,7 +8,7 @@ use hal::LaserScan;
 use triple_buffer::Input;
 
 use super::device::{Device, WireError};
-use super::lidar::Settings;
+use super::settings::Settings;
 use super::{Event, Revolution, RevolutionClock, RevolutionTime, RotaryError};
 use crate::DeviceState;
 use crate::scanner::{

@@ -3,7 +3,7 @@
 
 use hal::Pose2;
 
-use super::laser::LaserParameters;
+use super::laser_parameters::LaserParameters;
 use super::scan_path::ScanPose;
 use super::wheels::{WheelGeometry, WheelPath};
 

@@ -446,7 +446,7 @@ impl Model for CameraFit<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::laser::LaserParameters;
+    use super::super::laser_parameters::LaserParameters;
     use super::super::scan_path::ScanPose;
     use super::super::wheels::{WheelGeometry, WheelPath};
     use super::*;

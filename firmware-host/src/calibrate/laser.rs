@@ -9,10 +9,11 @@
 use hal::{Pose2, wrap_angle};
 use nalgebra::DVector;
 
-use super::drive::{Configured, Drive};
+use super::drive::Drive;
+use super::laser_parameters::LaserParameters;
 use super::least_squares::{Block, Estimate, Model, Prior, fit, robust_sigma};
 use super::scan_path::{ScanPose, laser_motion, match_scans};
-use super::wheels::{WheelGeometry, WheelMotion, WheelPath};
+use super::wheels::{WheelMotion, WheelPath};
 
 /// Number of parameters, in this order: radius left and right (share of the configured), track (m), the scanner's x, y (m) and
 /// yaw (rad), its latency (s).
@@ -41,38 +42,6 @@ const BLOCK_S: f64 = 4.0;
 const ROUNDS: [f64; 4] = [10.0, 3.0, 1.0, 1.0];
 /// Fewer spans than this are no drive.
 const LEAST_SPANS: usize = 30;
-
-/// The parameters of wheels and scanner.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct LaserParameters {
-    pub wheels: WheelGeometry,
-    pub t_base_laser: Pose2,
-    /// Time from the middle of a scan to its stamp, on the clock of the wheels' reports, seconds.
-    pub latency_s: f64,
-}
-
-impl LaserParameters {
-    /// What the robot was taken for.
-    pub fn configured(configured: &Configured) -> Self {
-        let wheels = WheelGeometry { scale: [1.0, 1.0], track_m: configured.track_m };
-        Self { wheels, t_base_laser: configured.t_base_laser, latency_s: 0.0 }
-    }
-
-    pub fn to_vector(self) -> DVector<f64> {
-        let Self { wheels, t_base_laser, latency_s } = self;
-        let Pose2 { x_m, y_m, yaw_rad } = t_base_laser;
-        let [left, right] = wheels.scale;
-        DVector::from_vec(vec![left, right, wheels.track_m, x_m, y_m, yaw_rad, latency_s])
-    }
-
-    pub fn from_vector(vector: &DVector<f64>) -> Self {
-        Self {
-            wheels: WheelGeometry { scale: [vector[0], vector[1]], track_m: vector[2] },
-            t_base_laser: Pose2::new(vector[3], vector[4], vector[5]),
-            latency_s: vector[6],
-        }
-    }
-}
 
 /// Two scans and the motion between them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -388,6 +357,8 @@ impl Span {
 
 #[cfg(test)]
 mod tests {
+    use super::super::drive::Configured;
+    use super::super::wheels::WheelGeometry;
     use super::*;
     use hal::Twist2;
 

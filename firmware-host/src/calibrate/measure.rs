@@ -7,7 +7,8 @@ use super::camera::{self, CameraError, CameraFit, CameraParameters};
 use super::drive::{CameraDrive, Drive};
 use super::finding::{Finding, Parameter};
 use super::floor;
-use super::laser::{self, LaserParameters, Residuals};
+use super::laser::{self, Residuals};
+use super::laser_parameters::LaserParameters;
 
 /// What a drive says about the robot.
 #[derive(Debug)]

@@ -23,6 +23,7 @@ mod floor;
 mod frames;
 mod klt;
 mod laser;
+mod laser_parameters;
 mod least_squares;
 mod measure;
 mod regular_times;

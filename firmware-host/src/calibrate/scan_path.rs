@@ -8,7 +8,7 @@ use nalgebra::Matrix3;
 use runtime::localization::{LocalizationConfig, LocalizationError, Localizer};
 
 use super::drive::Drive;
-use super::laser::LaserParameters;
+use super::laser_parameters::LaserParameters;
 
 /// Standard deviation of the wheels as a share of their motion: the largest that localization takes.
 const WHEEL_NOISE: f64 = 0.5;

@@ -11,7 +11,7 @@ use serde_json::json;
 use signed_model::{Bundle, TrustedKeys};
 
 use super::{ChildLimits, Gate, Outcome, Store, examine};
-use crate::cli::whole_number;
+use crate::cli::values::whole_number;
 use crate::config::Config;
 
 /// Configuration file of the Debian package.

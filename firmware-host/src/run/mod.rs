@@ -6,23 +6,20 @@
 //! loop; the recorder writes when the disk allows. Drivers have threads of their own. No loop waits for a device.
 
 mod device_log;
-mod devices;
+pub(crate) mod devices;
 mod exploration;
 mod images;
-mod instance_lock;
+pub(crate) mod instance_lock;
 mod last_stop;
 mod live_devices;
 mod operator;
 mod pose_socket;
 pub mod safety_thread;
+pub(crate) mod state_words;
 pub mod status;
 #[cfg(test)]
 mod stops_reference;
 mod supervision;
-
-pub(crate) use devices::open_for_safety;
-pub(crate) use instance_lock::InstanceLock;
-pub(crate) use supervision::words as state_words;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -55,6 +52,7 @@ use crate::task::TaskFile;
 #[cfg(test)]
 pub(crate) use exploration::log_agreement;
 use exploration::{Exploration, RunLog};
+use instance_lock::InstanceLock;
 use last_stop::StopFile;
 use live_devices::LiveDevices;
 use operator::Operator;

@@ -18,6 +18,7 @@ use super::exploration::Exploration;
 use super::last_stop::LastStop;
 use super::operator::Operator;
 use super::safety_thread::{LoopStatus, SafetyThread};
+use super::state_words::state_words;
 use super::status::{
     PowerStatus, RateMeter, RecordingStatus, SafetyStatus, Status, StopLineStatus, unix_s,
 };
@@ -112,7 +113,8 @@ impl Supervision {
     pub fn update(&mut self, safety: &mut SafetyThread, exploration: &mut Exploration) {
         let safety_status = *safety.status.read();
         if let SafetyState::Fault(_) | SafetyState::Tripped { .. } = safety_status.state {
-            self.last_stop = Some(LastStop { why: words(&safety_status.state), unix_s: unix_s() });
+            self.last_stop =
+                Some(LastStop { why: state_words(&safety_status.state), unix_s: unix_s() });
         }
         if self.lapsed != safety_status.lapsed {
             self.lapsed = safety_status.lapsed;
@@ -170,7 +172,7 @@ impl Supervision {
             pid: std::process::id(),
             uptime_s: (now_ns - self.began_ns) as f64 * 1e-9,
             safety: SafetyStatus {
-                state: words(&safety.state),
+                state: state_words(&safety.state),
                 for_s: now_ns.saturating_sub(safety.since_ns.max(self.began_ns)) as f64 * 1e-9,
                 needs_person: match safety.state {
                     SafetyState::Fault(why) => why.needs_person(),
@@ -237,14 +239,6 @@ fn no_bus(bus: &str) -> String {
     format!(
         "the interface is not there or down; `ip link set {bus} up type can bitrate 500000 restart-ms 100` brings it up"
     )
-}
-
-/// The state's name; for a fault, its reason as well.
-pub fn words(state: &SafetyState) -> String {
-    match state {
-        SafetyState::Fault(why) => format!("fault: {}", fault_reason(*why)),
-        state => state.name().to_owned(),
-    }
 }
 
 #[cfg(test)]

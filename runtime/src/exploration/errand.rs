@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use super::blacklist::distance_m;
 use super::config::ExplorationConfig;
-use super::explorer::Observations;
 use super::goal::Goal;
 use super::navigator::Navigator;
+use super::observations::Observations;
 use crate::event::{DropReason, Event, GoalReason};
 use crate::planning::{Follower, Primitive, Progress};
 use crate::tick::Command;

@@ -14,9 +14,10 @@ use super::ending::Ending;
 use super::errand::{Errand, Means, moved_pose};
 use super::goal::Goal;
 use super::navigator::{FRONTIER_RADIUS_M, Navigator};
+use super::observations::Observations;
 use super::pattern::Pattern;
 use crate::event::{DropReason, Event, GoalReason, NoGoalReason};
-use crate::mapping::{CellState, OccupancyGrid, SingleFrameMap};
+use crate::mapping::{CellState, OccupancyGrid};
 use crate::planning::{
     ConfigError, Follower, FollowerConfig, KeepOut, PlanConfig, Primitive, Progress,
 };
@@ -33,20 +34,6 @@ const POSITION_COUNT: usize = 100;
 /// Number of places drawn at random when nothing is left to explore; the one farthest from the
 /// robot's recent positions is chosen.
 const REVISIT_DRAWS: usize = 16;
-
-/// The policy's inputs of one tick.
-#[derive(Debug, Clone, Copy)]
-pub struct Observations<'a> {
-    pub tick: u64,
-    pub time_ns: u64,
-    /// Pose of the robot, `t_odom_base`.
-    pub pose: Pose2,
-    pub map: &'a OccupancyGrid,
-    /// The newest single-frame map and an older one, to compare them.
-    pub frame_maps: Option<(&'a SingleFrameMap, &'a SingleFrameMap)>,
-    /// The safety plane has just backed off from an obstacle.
-    pub bumped: bool,
-}
 
 /// An exploration policy with its state: the current goal, path and blacklist.
 pub struct Explorer {

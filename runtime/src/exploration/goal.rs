@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::config::ExplorationConfig;
-use super::explorer::Observations;
+use super::observations::Observations;
 use crate::event::{DropReason, GoalReason};
 
 /// The remaining path must become shorter by more than this to count as progress, metres.

@@ -30,11 +30,13 @@ mod errand_tests;
 mod explorer;
 mod goal;
 mod navigator;
+mod observations;
 mod pattern;
 mod unseen;
 
 pub use blacklist::Blacklist;
 pub use blind::BlindPolicy;
 pub use config::{ExplorationConfig, GoalChoice, PolicyKind};
-pub use explorer::{Explorer, Observations};
+pub use explorer::Explorer;
 pub use goal::Goal;
+pub use observations::Observations;

@@ -8,7 +8,8 @@ use anyhow::Result;
 use drivers::can::{BaseConfig, Protocol};
 use serde::{Deserialize, Serialize};
 
-use super::judge::{self, Assumed, Judgement, lidar_yaw_deg};
+use super::assumed::Assumed;
+use super::judge::{self, Judgement, lidar_yaw_deg};
 use super::measure::Measured;
 use crate::config::{Commissioning, Config, ConfigError};
 use crate::report::atomic::write_atomically;

@@ -1,16 +1,12 @@
 //! What the safety plane assumes, beside what was measured.
 
 use comfy_table::{ContentArrangement, Table, presets::NOTHING};
-use drivers::can::Protocol;
 use hal::wrap_angle;
-use runtime::safety::SafetyConfig;
 
+use super::assumed::Assumed;
 use super::measure::{Measured, Motion};
-use crate::config::Config;
 use crate::report::fit;
 
-/// Highest speed of the course, m/s: from it, a base that brakes with 1 m/s2 stops within 2 cm.
-const COURSE_MPS: f64 = 0.2;
 /// Encoders and the age of their readings make these errors, metres and seconds.
 const DISTANCE_ERROR_M: f64 = 0.005;
 const TIME_ERROR_S: f64 = 0.01;
@@ -18,35 +14,6 @@ const TIME_ERROR_S: f64 = 0.01;
 const SCALE_ERROR: f64 = 0.15;
 /// At the end of a metre, a scanner that is turned by this angle sees obstacles 5 cm aside of their place.
 const YAW_LIMIT_DEG: f64 = 3.0;
-
-/// The numbers that the safety plane works with.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Assumed {
-    pub safety: SafetyConfig,
-    /// Speed of the course and of ordinary driving, m/s.
-    pub course_mps: f64,
-    pub top_mps: f64,
-    /// Part of the reaction time until the scanner has seen an obstacle, seconds.
-    pub sight_s: f64,
-    pub coasts: bool,
-    /// Yaw of the LiDAR as configured in `lidar.yaw_deg`, degrees.
-    pub lidar_yaw_deg: f64,
-}
-
-impl Assumed {
-    /// The assumptions that follow from a configuration.
-    pub fn new(config: &Config) -> Self {
-        let top_mps = config.base.speed_mps().min(config.devices.base.limits.linear_mps);
-        Self {
-            safety: config.live_safety_config(),
-            course_mps: top_mps.min(COURSE_MPS),
-            top_mps,
-            sight_s: config.sight_s(),
-            coasts: config.devices.base.protocol == Protocol::Odrive,
-            lidar_yaw_deg: config.lidar.yaw_deg,
-        }
-    }
-}
 
 /// One measured number beside the assumed one.
 #[derive(Debug, Clone, PartialEq)]

@@ -10,8 +10,8 @@ use runtime::event::FaultReason;
 use runtime::safety::{Orders, Plan, Request, SafetyLoop, SafetyState, scanner_motion};
 use serde::{Deserialize, Serialize};
 
-use super::judge::Assumed;
-use crate::run::state_words;
+use super::assumed::Assumed;
+use crate::run::state_words::state_words;
 
 /// Yaw rate of the rotations, rad/s, and their duration, seconds: 30 degrees.
 const TURN_RADPS: f64 = 0.4;

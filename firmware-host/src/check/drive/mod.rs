@@ -1,6 +1,7 @@
 //! `firmware-host check --drive`: commissioning on the floor. The robot drives a short pattern through its own safety plane, and
 //! what it measures is compared with what the safety plane assumes.
 
+mod assumed;
 mod file;
 mod judge;
 mod measure;
@@ -21,9 +22,10 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use crate::config::Config;
 use crate::failure::sentence;
 use crate::report::fit;
-use crate::run::{InstanceLock, open_for_safety};
+use crate::run::devices::open_for_safety;
+use crate::run::instance_lock::InstanceLock;
+use assumed::Assumed;
 pub use file::require;
-use judge::Assumed;
 use measure::Course;
 
 /// Shown to the person beside the robot before it moves.

@@ -14,7 +14,8 @@ use hal::{
 };
 use runtime::safety::SafetyLoop;
 
-use super::judge::{self, Assumed, Judgement};
+use super::assumed::Assumed;
+use super::judge::{self, Judgement};
 use super::measure::{Course, CourseError, Measured};
 use super::{confirm, file};
 use crate::config::{Commissioning, Config};
