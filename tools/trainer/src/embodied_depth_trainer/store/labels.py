@@ -53,15 +53,16 @@ class LabelJob:
 
 def halo(entries: Sequence[Entry], place: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The shards before and after one that `MAX_GAP` frames reach."""
-    return _reached(entries[:place][::-1])[::-1], _reached(entries[place + 1 :])
+    return _reached(entries, range(place - 1, -1, -1))[::-1], _reached(entries, range(place + 1, len(entries)))
 
 
-def _reached(entries: Sequence[Entry]) -> tuple[str, ...]:
+def _reached(entries: Sequence[Entry], places: range) -> tuple[str, ...]:
     found: list[str] = []
     frames = 0
-    for entry in entries:
+    for place in places:
         if frames >= MAX_GAP:
             break
+        entry = entries[place]
         assert entry.shard is not None
         found.append(entry.shard)
         frames += entry.frames
