@@ -1,7 +1,7 @@
 """Makes the store of a fleet's year as metadata: every segment refers to the same few real ones.
 
-A segment is another name of a real recording, and a shard a link to a folder whose arrays are those of a real shard. Only the
-lists of segments, the links and what describes a shard (`meta.json`, one for each run) are written.
+A segment is another name of a real recording, and a shard a link to a folder whose arrays are those of a real shard.
+Only the lists of segments, the links and what describes a shard (`meta.json`, for each run) are written.
 """
 
 from __future__ import annotations

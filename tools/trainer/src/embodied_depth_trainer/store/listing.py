@@ -7,9 +7,15 @@ from dataclasses import dataclass
 
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
+from embodied_depth_trainer.store.catalogue import query
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.store.version import DatasetVersion, ListedShard
 
+# The columns that a list of shards is made of, in the order of `ListedShard`.
+CHOSEN = (
+    "SELECT folder, segment, frames, shard, digest, labels, labels_digest FROM segments "
+    "WHERE shard IN (SELECT unnest(?))"
+)
 # Problems that an error text names; more of them are counted.
 NAMED = 20
 
@@ -91,12 +97,29 @@ def refuse(version: DatasetVersion, problems: Sequence[str]) -> None:
 def freeze(store: Store, shards: Iterable[str]) -> DatasetVersion:
     """The list of these shards of a store, in the order of runs and segments."""
     names = set(shards)
-    try:
-        chosen = tuple(segment.listed() for segment in segments_of(store) if segment.shard in names)
-    except DamagedError as problem:
-        raise TrainerError(f"{problem}; make it with `embodied-depth prepare --check` before it is frozen") from None
-    missing = sorted(names - {shard.shard for shard in chosen})
+    # A segment in two runs is listed once.
+    chosen: dict[str, ListedShard] = {}
+    for row in query(store.folder, CHOSEN, [list(names)]).rows:
+        shard = ListedShard(*row)
+        chosen.setdefault(shard.shard, shard)
+    problems = [problem for problem in (_incomplete(store, shard) for shard in chosen.values()) if problem]
+    if problems:
+        raise TrainerError(
+            f"{len(problems)} shards cannot be frozen; make them with `embodied-depth prepare --check`: "
+            + ", ".join(problems[:NAMED])
+        )
+    missing = sorted(names - chosen.keys())
     if missing or not chosen:
         which = ", ".join(missing) if missing else "that was chosen"
         raise TrainerError(f"{store.folder} has no shard {which}; freeze shards of its table `segments`")
-    return DatasetVersion((store.recipe_digest,), chosen)
+    return DatasetVersion((store.recipe_digest,), tuple(chosen.values()))
+
+
+def _incomplete(store: Store, listed: ListedShard) -> str | None:
+    """What is missing of a shard. Its bytes are compared by the training that reads it."""
+    if not store.shard(listed.shard).is_dir():
+        return f"{store.shard(listed.shard)} is missing"
+    if not store.recipe["labels"]:
+        return None
+    is_labelled = listed.labels is not None and listed.labels_digest is not None
+    return None if is_labelled and store.labels(listed.labels or "").is_dir() else f"{listed} has no labels"

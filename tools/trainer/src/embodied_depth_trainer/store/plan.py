@@ -1,7 +1,7 @@
 """What is to be done of many runs, and the lists of the runs that are worked on.
 
-A year of a fleet has more segments than memory should hold: a plan is kept in a file, and of all lists only those are in
-memory whose jobs are being done.
+A year of a fleet has more segments than memory should hold: a plan is kept in a file, and of the lists only those are
+in memory whose jobs are being done.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Plan(Generic[Item]):
 
     def __init__(self, folder: Path) -> None:
         """`folder` is where a plan is kept that is not small; its file has no name and ends with the process."""
-        self.file = SpooledTemporaryFile(IN_MEMORY, dir=folder)  # noqa: SIM115
+        self.file = SpooledTemporaryFile(IN_MEMORY, dir=str(folder))  # noqa: SIM115
         self.runs = 0
         self.total = 0
         """Number of items."""

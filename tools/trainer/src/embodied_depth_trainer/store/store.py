@@ -31,8 +31,8 @@ RECIPE_DIGITS = 8
 
 
 class Runs(Mapping[str, Run]):
-    """The lists of all runs by their names. Each is read when it is asked for, because memory should not hold those of a
-    fleet's year; what is changed is kept by `Store.keep` only."""
+    """The lists of all runs by their names. Each is read when it is asked for, because memory should not hold those of
+    a fleet's year; what is changed is kept by `Store.keep` only."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
