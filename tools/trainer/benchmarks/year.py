@@ -24,7 +24,7 @@ import duckdb  # noqa: F401
 from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, query, update
 from embodied_depth_trainer.store.listing import freeze
-from embodied_depth_trainer.store.prepare import Tools, plan_labels, plan_shards, prepare
+from embodied_depth_trainer.store.prepare import Tools, plan, prepare
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.store.version import write_version
@@ -74,15 +74,14 @@ def frozen(sql: str) -> Callable[[Path], int]:
 def known(work: Path) -> int:
     """All segments have shards and labels."""
     store = Store(work / "store")
-    shards = plan_shards([work / "pulled"], store, Tools(RECIPE))
-    labels = plan_labels((source for source, _ in shards), store, Tools(RECIPE))
+    shards, labels = plan([work / "pulled"], store, Tools(RECIPE))
     return shards.total + labels.total
 
 
 def missing(work: Path) -> int:
     """No segment has a shard."""
     shutil.rmtree(work / "empty", ignore_errors=True)
-    return plan_shards([work / "pulled"], Store.create(work / "empty", RECIPE), Tools(RECIPE)).total
+    return plan([work / "pulled"], Store.create(work / "empty", RECIPE), Tools(RECIPE))[0].total
 
 
 PARTS: dict[str, Callable[[Path], int]] = {

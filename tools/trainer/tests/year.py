@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import shutil
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import cycle
 from pathlib import Path
@@ -107,7 +107,7 @@ def _link(target: Path, link: Path) -> None:
 
 def _write(run: Run, store: Store) -> None:
     # Not synced to the disk, unlike the list of a real run, because a year has many.
-    plain = {"source": run.source, "segments": [vars(entry) for entry in run.entries.values()]}
+    plain = {"source": run.source, "segments": [asdict(entry) for entry in run.entries.values()]}
     (store.folder / "runs" / f"{Run.name_of(run.source)}.json").write_text(json.dumps(plain))
 
 

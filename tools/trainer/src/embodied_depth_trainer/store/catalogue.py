@@ -17,7 +17,7 @@ from typing import Any
 
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import process_name
-from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
+from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError, digest_in
 from embodied_depth_trainer.store.manifest import Entry, Run
 from embodied_depth_trainer.store.store import Store
 
@@ -46,10 +46,10 @@ COLUMNS = {
 }
 # Key in the table's own metadata: the lists that it was made of, each with its time of modification and its size.
 LISTS = "lists"
-# The name of a run in the store (`Run.name_of`), by which the table is ordered.
+# The name of a run in the store (`Run.name_of`), and the order of all segments. The table has the runs that were read
+# last at its end, because only then it can be written without sorting it.
 LIST_OF = "regexp_extract(folder, '[^/]*$') || '-' || left(sha256(folder), 12)"
-# Memory of DuckDB, besides which this process needs little, whatever the size of the store.
-MEMORY = "512MB"
+IN_ORDER = f"{LIST_OF}, length(segment), segment"
 Lists = dict[str, list[int]]
 
 
@@ -136,14 +136,12 @@ def _write(file: Path, kept: Collection[str], rows: Path, lists: Lists, partial:
     columns = "{" + ", ".join(f"{name}: {_text(kind)}" for name, kind in COLUMNS.items()) + "}"
     found = f"SELECT * FROM read_json({_text(rows)}, format = 'newline_delimited', columns = {columns})"
     with _duckdb().connect() as database:
-        database.execute(f"SET memory_limit = '{MEMORY}'; SET temp_directory = {_text(file.parent)}")
         if kept:
             database.execute("CREATE TABLE kept AS SELECT unnest(?) AS list", [list(kept)])
             old = f"SELECT * FROM read_parquet({_text(file)}) WHERE {LIST_OF} IN (FROM kept)"
             found = f"{old} UNION ALL {found}"
         database.execute(
-            f"COPY (FROM ({found}) ORDER BY {LIST_OF}, length(segment), segment) TO {_text(partial)} "
-            f"(FORMAT parquet, KV_METADATA {{{LISTS}: {_text(json.dumps(lists))}}})"
+            f"COPY ({found}) TO {_text(partial)} (FORMAT parquet, KV_METADATA {{{LISTS}: {_text(json.dumps(lists))}}})"
         )
 
 
@@ -185,7 +183,7 @@ def _labels_digest(store: Store, entry: Entry) -> str | None:
     if entry.labels is None:
         return None
     try:
-        return ArrayFolder(store.labels(entry.labels)).digest
+        return digest_in(store.labels(entry.labels))
     except DamagedError:
         return None
 

@@ -8,7 +8,6 @@ When a following segment arrives, only the last `MAX_GAP` frames are labelled ag
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -47,8 +46,15 @@ class LabelJob:
 
     @property
     def name(self) -> str:
-        halo = hashlib.sha256(json.dumps([self.before, self.after]).encode()).hexdigest()
-        return f"{self.own}-{halo[:NAME_DIGITS]}"
+        return labels_name(self.own, self.before, self.after)
+
+
+def labels_name(own: str, before: Sequence[str], after: Sequence[str]) -> str:
+    """The name of a shard's labels in this halo."""
+    # As `json.dumps` writes it, which takes longer.
+    both = ", ".join("[" + ", ".join(f'"{name}"' for name in names) + "]" for names in (before, after))
+    halo = hashlib.sha256(f"[{both}]".encode()).hexdigest()
+    return f"{own}-{halo[:NAME_DIGITS]}"
 
 
 def halo(entries: Sequence[Entry], place: int) -> tuple[tuple[str, ...], tuple[str, ...]]:

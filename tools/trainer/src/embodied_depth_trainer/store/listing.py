@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
-from embodied_depth_trainer.store.catalogue import query
+from embodied_depth_trainer.store.catalogue import IN_ORDER, query
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.store.version import DatasetVersion, ListedShard
 
 # The columns that a list of shards is made of, in the order of `ListedShard`.
 CHOSEN = (
     "SELECT folder, segment, frames, shard, digest, labels, labels_digest FROM segments "
-    "WHERE shard IN (SELECT unnest(?))"
+    f"WHERE shard IN (SELECT unnest(?)) ORDER BY {IN_ORDER}"
 )
 # Problems that an error text names; more of them are counted.
 NAMED = 20
@@ -102,7 +102,7 @@ def freeze(store: Store, shards: Iterable[str]) -> DatasetVersion:
     for row in query(store.folder, CHOSEN, [list(names)]).rows:
         shard = ListedShard(*row)
         chosen.setdefault(shard.shard, shard)
-    problems = [problem for problem in (_incomplete(store, shard) for shard in chosen.values()) if problem]
+    problems = _incomplete(store, chosen.values())
     if problems:
         raise TrainerError(
             f"{len(problems)} shards cannot be frozen; make them with `embodied-depth prepare --check`: "
@@ -115,11 +115,14 @@ def freeze(store: Store, shards: Iterable[str]) -> DatasetVersion:
     return DatasetVersion((store.recipe_digest,), tuple(chosen.values()))
 
 
-def _incomplete(store: Store, listed: ListedShard) -> str | None:
-    """What is missing of a shard. Its bytes are compared by the training that reads it."""
-    if not store.shard(listed.shard).is_dir():
-        return f"{store.shard(listed.shard)} is missing"
-    if not store.recipe["labels"]:
-        return None
-    is_labelled = listed.labels is not None and listed.labels_digest is not None
-    return None if is_labelled and store.labels(listed.labels or "").is_dir() else f"{listed} has no labels"
+def _incomplete(store: Store, chosen: Iterable[ListedShard]) -> list[str]:
+    """What is missing of these shards. Their bytes are compared by the training that reads them."""
+    shards, labels = store.shard_names, store.labels_names
+    has_labels = store.recipe["labels"]
+    found = []
+    for shard in chosen:
+        if shard.shard not in shards:
+            found.append(f"{store.shard(shard.shard)} is missing")
+        elif has_labels and (shard.labels_digest is None or shard.labels not in labels):
+            found.append(f"{shard} has no labels")
+    return found

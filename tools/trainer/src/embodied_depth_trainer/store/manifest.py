@@ -16,7 +16,7 @@ from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Entry:
     """One segment."""
 
@@ -87,4 +87,5 @@ def write_run(run: Run, file: Path) -> None:
 
 
 def _known(entry: Entry) -> dict[str, Any]:
-    return {name: value for name, value in vars(entry).items() if value is not None}
+    values = ((name, getattr(entry, name)) for name in Entry.__slots__)
+    return {name: value for name, value in values if value is not None}

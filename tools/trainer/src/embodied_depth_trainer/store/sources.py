@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import fnmatch
 import os
 import re
 import shutil
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from fnmatch import fnmatch
 from itertools import groupby
 from pathlib import Path
 
@@ -23,14 +23,16 @@ from embodied_depth_trainer.store.manifest import Entry
 class LocalSegment:
     """A segment in a directory."""
 
-    file: Path
+    # Text instead of a path, because a path costs more than to ask the file system about it.
+    folder: str
+    name: str
 
     def __str__(self) -> str:
-        return str(self.file)
+        return f"{self.folder}/{self.name}"
 
     @property
-    def name(self) -> str:
-        return self.file.name
+    def file(self) -> Path:
+        return Path(self.folder, self.name)
 
     def entry(self) -> Entry:
         """What its run lists of it, without a digest."""
@@ -39,8 +41,8 @@ class LocalSegment:
 
     def is_known(self, entry: Entry) -> bool:
         """Whether the file is the one that the entry was made of."""
-        now = self.entry()
-        return (entry.bytes, entry.modified_ns) == (now.bytes, now.modified_ns)
+        state = os.stat(str(self))
+        return (entry.bytes, entry.modified_ns) == (state.st_size, state.st_mtime_ns)
 
     def on_disk(self, scratch: Path) -> AbstractContextManager[Path]:
         """Its file, while the context lasts."""
@@ -116,9 +118,14 @@ def _in_directory(source: Path) -> Iterator[RecordedRun]:
         raise TrainerError(f"{source} is no directory; give the --out directory of a run, or one that holds runs")
     for folder, below, files in os.walk(source):
         below.sort()
-        if any(fnmatch(file, "recording_*.mcap") for file in files):
-            run = Path(folder)
-            yield RecordedRun(str(run.resolve()), tuple(map(LocalSegment, segments(run))))
+        if fnmatch.filter(files, "recording_*.mcap"):
+            names = sorted(
+                (file for file in files if re.fullmatch(SEGMENT_NAME, file)), key=lambda name: (len(name), name)
+            )
+            if not names:
+                # Names what is missing.
+                segments(Path(folder))
+            yield RecordedRun(os.path.realpath(folder), tuple(LocalSegment(folder, name) for name in names))
 
 
 def _in_bucket(url: str) -> Iterator[RecordedRun]:

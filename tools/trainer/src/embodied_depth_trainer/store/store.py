@@ -15,8 +15,13 @@ Shards are named by the digests of their segment and of the recipe.
 from __future__ import annotations
 
 import json
+import os
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.errors import TrainerError
@@ -48,6 +53,24 @@ class Runs(Mapping[str, Run]):
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
+
+
+class Names:
+    """What a folder holds, in eight bytes for each name. To ask the file system about each of a year's shards takes six
+    times as long as to read the folder once. Of 600,000 names, two have equal hashes in one of 100 million folders."""
+
+    def __init__(self, folder: Path) -> None:
+        hashes: NDArray[np.int64] = np.empty(0, np.int64)
+        if folder.is_dir():
+            with os.scandir(folder) as files:
+                hashes = np.fromiter((hash(file.name) for file in files), np.int64)
+        hashes.sort()
+        self.hashes = memoryview(hashes.data)
+
+    def __contains__(self, name: str | None) -> bool:
+        wanted = hash(name)
+        place = bisect_left(self.hashes, wanted)
+        return place < len(self.hashes) and self.hashes[place] == wanted
 
 
 class Store:
@@ -103,6 +126,14 @@ class Store:
 
     def labels(self, name: str) -> Path:
         return self.folder / "labels" / name
+
+    @property
+    def shard_names(self) -> Names:
+        return Names(self.folder / "shards")
+
+    @property
+    def labels_names(self) -> Names:
+        return Names(self.folder / "labels")
 
     def pairs(self, name: str) -> Path:
         return self.folder / "pairs" / name
