@@ -50,6 +50,9 @@ LISTS = "lists"
 # last at its end, because only then it can be written without sorting it.
 LIST_OF = "regexp_extract(folder, '[^/]*$') || '-' || left(sha256(folder), 12)"
 IN_ORDER = f"{LIST_OF}, length(segment), segment"
+# DuckDB holds buffers of these sizes. Its own, 16 MiB and 122,880 rows, are made for fewer columns.
+MOST_OF_A_ROW = 1_000_000
+ROWS_OF_A_GROUP = 20_480
 Lists = dict[str, list[int]]
 
 
@@ -134,14 +137,19 @@ def _scratch(file: Path) -> Iterator[tuple[Path, Path]]:
 def _write(file: Path, kept: Collection[str], rows: Path, lists: Lists, partial: Path) -> None:
     """Writes the rows of the runs that are kept from the table, and new ones, as a new table."""
     columns = "{" + ", ".join(f"{name}: {_text(kind)}" for name, kind in COLUMNS.items()) + "}"
-    found = f"SELECT * FROM read_json({_text(rows)}, format = 'newline_delimited', columns = {columns})"
+    form = f"format = 'newline_delimited', columns = {columns}, maximum_object_size = {MOST_OF_A_ROW}"
+    found = f"SELECT * FROM read_json({_text(rows)}, {form})"
     with _duckdb().connect() as database:
+        # One thread that need not keep the order holds a quarter of the memory.
+        database.execute("SET threads = 1; SET preserve_insertion_order = false")
         if kept:
             database.execute("CREATE TABLE kept AS SELECT unnest(?) AS list", [list(kept)])
             old = f"SELECT * FROM read_parquet({_text(file)}) WHERE {LIST_OF} IN (FROM kept)"
             found = f"{old} UNION ALL {found}"
+        lists_text = _text(json.dumps(lists))
         database.execute(
-            f"COPY ({found}) TO {_text(partial)} (FORMAT parquet, KV_METADATA {{{LISTS}: {_text(json.dumps(lists))}}})"
+            f"COPY ({found}) TO {_text(partial)} "
+            f"(FORMAT parquet, ROW_GROUP_SIZE {ROWS_OF_A_GROUP}, KV_METADATA {{{LISTS}: {lists_text}}})"
         )
 
 
