@@ -73,7 +73,7 @@ class OpenRuns:
             self._write(opened)
 
     def begin(self, source: str, jobs: int) -> None:
-        """So many more jobs of a run will be done."""
+        """More jobs of a run will be done."""
         if jobs:
             self.open.setdefault(source, _OpenRun(self.store.run_of(source))).waiting += jobs
 
