@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import urllib.request
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.store import Store
 
 from ..broken_link import Address, broken_link
+from ..object_store import count_requests
 from ..rooms import room
 from ..signing import KITCHEN, THIEF, public, sign, sign_run
 from ..stores import calls, record, store_of, tools, without_coarse
@@ -36,11 +38,24 @@ def walk() -> Frames:
 
 
 @pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Address]:
-    """A server of S3 without objects, which the environment names."""
-    running = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    running.start()
-    address = running.get_host_and_port()
+def running() -> Iterator[Any]:
+    """moto's server."""
+    server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def requests(running: Any) -> Counter[str]:  # noqa: ANN401
+    """Counts the requests that the server answers."""
+    return count_requests(running)
+
+
+@pytest.fixture
+def server(running: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Address]:  # noqa: ANN401
+    """The address of a server of S3 without objects, which the environment names."""
+    address: Address = running.get_host_and_port()
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "key")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
     monkeypatch.setenv("AWS_REGION", "us-east-1")
@@ -51,7 +66,6 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Address]:
     urllib.request.urlopen(request).close()
     client(address).create_bucket(Bucket="fleet")
     yield address
-    running.stop()
     bucket._store.cache_clear()
 
 
@@ -144,6 +158,24 @@ def test_a_listing_of_many_pages_is_complete(walk: Frames, tmp_path: Path, serve
     (run,) = sources.find_runs(URL)
     names = [segment.name for segment in run.segments]
     assert names == [*(f"recording_{number:04d}.mcap" for number in range(1050)), "recording_10000.mcap"]
+
+
+@pytest.mark.parametrize("runs", [1, 5])
+def test_requests_are_those_of_pages_and_pieces_and_no_other(
+    walk: Frames, tmp_path: Path, server: Address, requests: Counter[str], monkeypatch: pytest.MonkeyPatch, runs: int
+) -> None:
+    monkeypatch.setattr(bucket, "PIECE", 20_000)
+    for number in range(runs):
+        record(tmp_path / f"runs/run_{number}", walk, [24, 16])
+    upload(tmp_path / "runs", server)
+    requests.clear()
+    prepared(tmp_path / "store")
+    sizes = [file.stat().st_size for file in (tmp_path / "runs").rglob("*.mcap")]
+    assert requests == {"LIST": 1, "GET": sum(-(-size // 20_000) for size in sizes)}
+    # What is known is listed only.
+    requests.clear()
+    prepared(tmp_path / "store")
+    assert requests == {"LIST": 1}
 
 
 def test_a_download_goes_on_where_the_link_broke(

@@ -10,7 +10,7 @@ import pytest
 from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store import picture
-from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, Answer, _quoted, query, update
+from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, Answer, _text, query, update
 from embodied_depth_trainer.store.prepare import Tools, prepare
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.store import Store
@@ -29,7 +29,7 @@ def store(tmp_path: Path) -> Store:
 
 
 def test_every_segment_is_a_row(store: Store) -> None:
-    found = query(store, "SELECT folder, segment, frames FROM segments ORDER BY folder, segment")
+    found = query(store.folder, "SELECT folder, segment, frames FROM segments ORDER BY folder, segment")
     assert found.columns == ["folder", "segment", "frames"]
     rows = [(Path(folder).name, segment, frames) for folder, segment, frames in found.rows]
     assert rows == [
@@ -37,7 +37,7 @@ def test_every_segment_is_a_row(store: Store) -> None:
         ("monday", "recording_0000.mcap", 24),
         ("monday", "recording_0001.mcap", 16),
     ]
-    ((digests, held_out),) = query(store, "SELECT count(DISTINCT digest), sum(held_out) FROM segments").rows
+    ((digests, held_out),) = query(store.folder, "SELECT count(DISTINCT digest), sum(held_out) FROM segments").rows
     assert (digests, held_out >= 0) == (3, True)
 
 
@@ -47,39 +47,39 @@ def test_a_row_says_which_robot_recorded_it_and_where(store: Store, tmp_path: Pa
     # A robot without a key and a name.
     record(tmp_path / "runs/thursday", room(10, seed=3), [10], identity={"run": "6d" * 16, "boot": "3b3b"})
     prepare([tmp_path / "runs"], store, Tools(Recipe("none", labels=False)))
-    found = query(store, "SELECT DISTINCT robot, name, site, run FROM segments ORDER BY run").rows
+    found = query(store.folder, "SELECT DISTINCT robot, name, site, run FROM segments ORDER BY run").rows
     assert found == [
         ("ab" * 32, "vacuum", "kitchen", "5c" * 16),
         (None, None, None, "6d" * 16),
         (None, None, None, None),
     ]
-    counted = query(store, "SELECT name, count(*) FROM segments GROUP BY name ORDER BY name").rows
+    counted = query(store.folder, "SELECT name, count(*) FROM segments GROUP BY name ORDER BY name").rows
     assert counted == [("vacuum", 2), (None, 4)]
 
 
 def test_a_table_of_an_earlier_version_is_written_again(store: Store) -> None:
-    file = update(store)
+    file = update(store.folder)
     with duckdb.connect() as database:
-        database.execute(f"CREATE TABLE old AS SELECT * EXCLUDE (robot) FROM read_parquet('{_quoted(file)}')")
-        database.execute(f"COPY old TO '{_quoted(file)}' (FORMAT parquet)")
-    assert query(store, "SELECT robot FROM segments").rows == [(None,)] * 3
+        database.execute(f"CREATE TABLE old AS SELECT * EXCLUDE (robot) FROM read_parquet({_text(file)})")
+        database.execute(f"COPY old TO {_text(file)} (FORMAT parquet)")
+    assert query(store.folder, "SELECT robot FROM segments").rows == [(None,)] * 3
 
 
 def test_the_table_follows_the_store(store: Store, tmp_path: Path) -> None:
     count = "SELECT count(*), sum(frames) FROM segments"
-    assert query(store, count).rows == [(3, 70)]
+    assert query(store.folder, count).rows == [(3, 70)]
     file = store.folder / CATALOGUE_FILE
     before = file.stat().st_mtime_ns
-    assert query(store, count).rows == [(3, 70)]
+    assert query(store.folder, count).rows == [(3, 70)]
     assert file.stat().st_mtime_ns == before
     record(tmp_path / "runs/wednesday", room(10, seed=2), [10])
     prepare([tmp_path / "runs"], store, Tools(Recipe("none", labels=False)))
-    assert query(store, count).rows == [(4, 80)]
+    assert query(store.folder, count).rows == [(4, 80)]
 
 
 def test_a_query_that_cannot_be_answered_names_the_columns(store: Store) -> None:
     with pytest.raises(TrainerError, match=r"(?s)SELECT colour.*columns are folder, segment, robot"):
-        query(store, "SELECT colour FROM segments")
+        query(store.folder, "SELECT colour FROM segments")
 
 
 def test_the_command_prints_a_table(store: Store, capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,7 +48,7 @@ def run_catalogue(options: argparse.Namespace) -> None:
 
 
 def _query(options: argparse.Namespace) -> None:
-    answer = query(Store(options.store), options.sql)
+    answer = query(options.store, options.sql)
     print("\t".join(answer.columns))
     for row in answer.rows:
         print("\t".join("" if value is None else str(value) for value in row))
@@ -56,7 +56,7 @@ def _query(options: argparse.Namespace) -> None:
 
 def _freeze(options: argparse.Namespace) -> None:
     store = Store(options.store)
-    answer = query(store, options.sql)
+    answer = query(store.folder, options.sql)
     if "shard" not in answer.columns:
         raise TrainerError(
             f"`{options.sql}` returns {', '.join(answer.columns)} and not the column `shard`; begin it with SELECT *"

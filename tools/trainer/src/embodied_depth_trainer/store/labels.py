@@ -8,7 +8,6 @@ When a following segment arrives, only the last `MAX_GAP` frames are labelled ag
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -47,21 +46,29 @@ class LabelJob:
 
     @property
     def name(self) -> str:
-        halo = hashlib.sha256(json.dumps([self.before, self.after]).encode()).hexdigest()
-        return f"{self.own}-{halo[:NAME_DIGITS]}"
+        return labels_name(self.own, self.before, self.after)
+
+
+def labels_name(own: str, before: Sequence[str], after: Sequence[str]) -> str:
+    """The name of a shard's labels in this halo."""
+    # As `json.dumps` writes it, which takes longer.
+    both = ", ".join("[" + ", ".join(f'"{name}"' for name in names) + "]" for names in (before, after))
+    halo = hashlib.sha256(f"[{both}]".encode()).hexdigest()
+    return f"{own}-{halo[:NAME_DIGITS]}"
 
 
 def halo(entries: Sequence[Entry], place: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The shards before and after one that `MAX_GAP` frames reach."""
-    return _reached(entries[:place][::-1])[::-1], _reached(entries[place + 1 :])
+    return _reached(entries, range(place - 1, -1, -1))[::-1], _reached(entries, range(place + 1, len(entries)))
 
 
-def _reached(entries: Sequence[Entry]) -> tuple[str, ...]:
+def _reached(entries: Sequence[Entry], places: range) -> tuple[str, ...]:
     found: list[str] = []
     frames = 0
-    for entry in entries:
+    for place in places:
         if frames >= MAX_GAP:
             break
+        entry = entries[place]
         assert entry.shard is not None
         found.append(entry.shard)
         frames += entry.frames

@@ -7,9 +7,15 @@ from dataclasses import dataclass
 
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
+from embodied_depth_trainer.store.catalogue import IN_ORDER, query
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.store.version import DatasetVersion, ListedShard
 
+# The columns that a list of shards is made of, in the order of `ListedShard`.
+CHOSEN = (
+    "SELECT folder, segment, frames, shard, digest, labels, labels_digest FROM segments "
+    f"WHERE shard IN (SELECT unnest(?)) ORDER BY {IN_ORDER}"
+)
 # Problems that an error text names; more of them are counted.
 NAMED = 20
 
@@ -91,12 +97,32 @@ def refuse(version: DatasetVersion, problems: Sequence[str]) -> None:
 def freeze(store: Store, shards: Iterable[str]) -> DatasetVersion:
     """The list of these shards of a store, in the order of runs and segments."""
     names = set(shards)
-    try:
-        chosen = tuple(segment.listed() for segment in segments_of(store) if segment.shard in names)
-    except DamagedError as problem:
-        raise TrainerError(f"{problem}; make it with `embodied-depth prepare --check` before it is frozen") from None
-    missing = sorted(names - {shard.shard for shard in chosen})
+    # A segment in two runs is listed once.
+    chosen: dict[str, ListedShard] = {}
+    for row in query(store.folder, CHOSEN, [list(names)]).rows:
+        shard = ListedShard(*row)
+        chosen.setdefault(shard.shard, shard)
+    problems = _incomplete(store, chosen.values())
+    if problems:
+        raise TrainerError(
+            f"{len(problems)} shards cannot be frozen; make them with `embodied-depth prepare --check`: "
+            + ", ".join(problems[:NAMED])
+        )
+    missing = sorted(names - chosen.keys())
     if missing or not chosen:
         which = ", ".join(missing) if missing else "that was chosen"
         raise TrainerError(f"{store.folder} has no shard {which}; freeze shards of its table `segments`")
-    return DatasetVersion((store.recipe_digest,), chosen)
+    return DatasetVersion((store.recipe_digest,), tuple(chosen.values()))
+
+
+def _incomplete(store: Store, chosen: Iterable[ListedShard]) -> list[str]:
+    """What is missing of these shards. Their bytes are compared by the training that reads them."""
+    shards, labels = store.shard_names, store.labels_names
+    has_labels = store.recipe["labels"]
+    found = []
+    for shard in chosen:
+        if shard.shard not in shards:
+            found.append(f"{store.shard(shard.shard)} is missing")
+        elif has_labels and (shard.labels_digest is None or shard.labels not in labels):
+            found.append(f"{shard} has no labels")
+    return found

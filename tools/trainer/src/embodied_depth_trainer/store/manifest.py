@@ -1,6 +1,6 @@
 """The list of a run's segments and of the shards that were made of them.
 
-It is written again whenever a shard is added. Size and time of modification of a segment's file tell whether it has to
+It is written again when shards were added. Size and time of modification of a segment's file tell whether it has to
 be read again, as in the index of Git; in an object store, size and tag.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Entry:
     """One segment."""
 
@@ -71,9 +71,6 @@ class Run:
         """The segments that have a shard and are not refused, in their order."""
         return [entry for entry in self.in_order if entry.shard is not None and entry.refused is None]
 
-    def set_labels(self, entry: Entry, labels: str) -> None:
-        self.entries[entry.file] = replace(entry, labels=labels)
-
 
 def read_run(file: Path) -> Run:
     try:
@@ -84,5 +81,11 @@ def read_run(file: Path) -> Run:
 
 
 def write_run(run: Run, file: Path) -> None:
-    plain = {"source": run.source, "segments": [asdict(entry) for entry in run.entries.values()]}
-    write_atomically(json.dumps(plain, indent=1).encode(), file)
+    # A line for each segment, without what is not known of it: a year of a fleet has gigabytes of them otherwise.
+    lines = ",\n".join(json.dumps(_known(entry)) for entry in run.entries.values())
+    write_atomically(f'{{"source": {json.dumps(run.source)}, "segments": [\n{lines}\n]}}\n'.encode(), file)
+
+
+def _known(entry: Entry) -> dict[str, Any]:
+    values = ((name, getattr(entry, name)) for name in Entry.__slots__)
+    return {name: value for name, value in values if value is not None}

@@ -52,7 +52,7 @@ def color_of(events: dict[str, int]) -> str:
 def runs_of(store: Store) -> dict[str, list[DrawnSegment]]:
     """The segments of every run, in their order; the latest run is the last, runs without a date are the first."""
     found: dict[str, list[DrawnSegment]] = {}
-    for folder, began, frames, events in query(store, SQL).rows:
+    for folder, began, frames, events in query(store.folder, SQL).rows:
         found.setdefault(folder, []).append(DrawnSegment(began, frames, color_of(events)))
     return dict(sorted(found.items(), key=lambda run: run[1][0].began or datetime.min))
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from collections import Counter, defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from mcap.exceptions import McapError
@@ -16,15 +16,19 @@ from embodied_depth_trainer.data.teacher_options import TeacherOptions
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
 from embodied_depth_trainer.store.chain import breaks
 from embodied_depth_trainer.store.known_robots import KnownRobots
-from embodied_depth_trainer.store.labels import LabelJob, halo, make_labels
+from embodied_depth_trainer.store.labels import LabelJob, halo, labels_name, make_labels
 from embodied_depth_trainer.store.manifest import Entry, Run
+from embodied_depth_trainer.store.plan import OpenRuns, Plan
 from embodied_depth_trainer.store.pool import Pool, pool
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.shards import ShardJob, make_shard
 from embodied_depth_trainer.store.sources import RecordedRun, RecordedSegment, RemoteSegment, find_runs
-from embodied_depth_trainer.store.store import Store
+from embodied_depth_trainer.store.store import Names, Store
 from embodied_depth_trainer.store.trust import is_decided, review
 from embodied_depth_trainer.store.version import read_version
+
+# The labels of a segment by the name of its file.
+NamedJob = tuple[str, LabelJob]
 
 
 @dataclass(frozen=True)
@@ -70,12 +74,63 @@ def prepare(sources: Sequence[Path | str], store: Store, tools: Tools, growing: 
     report = Report()
     if tools.known_robots is not None:
         report.refused.update(review(store, tools.known_robots))
-    runs = [run for source in sources for run in find_runs(source)]
+    shards, labels = plan(sources, store, tools, growing)
     with pool(tools.on, tools.workers, store.downloads) as workers:
-        _shards(runs, store, tools, growing, workers, report)
+        _make_shards(shards, store, tools, workers, report)
         if tools.recipe.labels:
-            _labels(runs, store, tools, workers, report)
+            _make_labels(_completed(labels, shards, store, tools), store, workers, report)
     return report
+
+
+def plan(
+    sources: Sequence[Path | str], store: Store, tools: Tools, growing: bool = False
+) -> tuple[Plan[RecordedSegment], Plan[NamedJob]]:
+    """What is to be done of all runs below the sources: segments whose shards are missing and, of runs whose shards are
+    all there, labels that are missing."""
+    shards, labels = Plan[RecordedSegment](store.folder), Plan[NamedJob](store.folder)
+    in_store = store.shard_names, store.labels_names
+    # A run below two sources is found twice.
+    planned = set()
+    for recorded in (run for source in sources for run in find_runs(source)):
+        if (recorded.source, recorded.segments[0].name) in planned:
+            continue
+        planned.add((recorded.source, recorded.segments[0].name))
+        run = store.run_of(recorded.source)
+        missing = [segment for segment in recorded.segments if not _is_prepared(segment, run, in_store[0], tools)]
+        missing = [segment for segment in missing if not (growing and _is_open(segment, recorded))]
+        if missing:
+            shards.add(recorded.source, missing)
+        elif tools.recipe.labels:
+            labels.add(recorded.source, _unlabelled(run, in_store[1], store, tools))
+    return shards, labels
+
+
+def _completed(labels: Plan[NamedJob], shards: Plan[RecordedSegment], store: Store, tools: Tools) -> Plan[NamedJob]:
+    """The plan of labels with those of the runs that have new shards."""
+    changed = {source for source, _ in shards}
+    both = Plan[NamedJob](store.folder)
+    for source, jobs in labels:
+        # An object store may list a run in several parts, of which one was complete.
+        if source not in changed:
+            both.add(source, jobs)
+    in_store = store.labels_names
+    for source in sorted(changed):
+        both.add(source, _unlabelled(store.run_of(source), in_store, store, tools))
+    return both
+
+
+def _unlabelled(run: Run, in_store: Names, store: Store, tools: Tools) -> list[NamedJob]:
+    """The segments of a run whose labels are missing, by their files' names."""
+    found = []
+    folders = store.folder / "shards", store.folder / "labels"
+    shards = run.shards
+    for place, entry in enumerate(shards):
+        before, after = halo(shards, place)
+        assert entry.shard is not None
+        if entry.labels != labels_name(entry.shard, before, after) or entry.labels not in in_store:
+            job = LabelJob(*folders, before, entry.shard, after, entry.labels, tools.teacher, tools.teacher_options)
+            found.append((entry.file, job))
+    return found
 
 
 def remove_damaged(store: Store) -> list[str]:
@@ -97,28 +152,28 @@ def remove_damaged(store: Store) -> list[str]:
     return found
 
 
-def _shards(
-    runs: Sequence[RecordedRun], store: Store, tools: Tools, growing: bool, workers: Pool, report: Report
-) -> None:
-    jobs = {}
-    for recorded in runs:
-        run = store.run_of(recorded.source)
-        for segment in recorded.segments:
-            if not _is_prepared(segment, run, store, tools) and not (growing and _is_open(segment, recorded)):
-                jobs[recorded.source, segment] = ShardJob(
-                    segment, store.folder / "shards", store.downloads, tools.recipe, tools.robot, tools.known_robots
-                )
-    new: dict[str, set[str]] = defaultdict(set)
-    for (source, segment), entry in workers.each(make_shard, jobs, "segment"):
-        if entry is None:
-            report.replaced.append(str(segment))
-            continue
-        store.run_of(source).entries[entry.file] = entry
-        store.keep(source)
-        new[source].add(entry.file)
-        _add(entry, source, segment, report)
-    for source, files in new.items():
-        report.breaks += breaks(store.run_of(source), files)
+def _make_shards(plan: Plan[RecordedSegment], store: Store, tools: Tools, workers: Pool, report: Report) -> None:
+    with OpenRuns(store) as lists:
+        jobs = _shard_jobs(plan, lists, store, tools)
+        for (source, segment), entry in workers.each(make_shard, jobs, plan.total, "segment"):
+            if entry is None:
+                report.replaced.append(str(segment))
+            else:
+                _add(entry, source, segment, report)
+            complete = lists.done(source, entry)
+            if complete is not None:
+                report.breaks += breaks(*complete)
+
+
+def _shard_jobs(
+    plan: Plan[RecordedSegment], lists: OpenRuns, store: Store, tools: Tools
+) -> Iterator[tuple[tuple[str, RecordedSegment], ShardJob]]:
+    shards = store.folder / "shards"
+    for source, segments in plan:
+        lists.begin(source, len(segments))
+        for segment in segments:
+            job = ShardJob(segment, shards, store.downloads, tools.recipe, tools.robot, tools.known_robots)
+            yield (source, segment), job
 
 
 def _add(entry: Entry, source: str, segment: RecordedSegment, report: Report) -> None:
@@ -134,11 +189,11 @@ def _add(entry: Entry, source: str, segment: RecordedSegment, report: Report) ->
         report.damaged[str(segment)] = entry.damage
 
 
-def _is_prepared(segment: RecordedSegment, run: Run, store: Store, tools: Tools) -> bool:
+def _is_prepared(segment: RecordedSegment, run: Run, in_store: Names, tools: Tools) -> bool:
     known = run.entries.get(segment.name)
     if known is None or not segment.is_known(known) or not is_decided(known, tools.known_robots):
         return False
-    return known.shard is None or store.shard(known.shard).is_dir()
+    return known.shard is None or known.shard in in_store
 
 
 def _is_open(segment: RecordedSegment, run: RecordedRun) -> bool:
@@ -153,35 +208,28 @@ def _is_open(segment: RecordedSegment, run: RecordedRun) -> bool:
             return True
 
 
-def _labels(runs: Sequence[RecordedRun], store: Store, tools: Tools, workers: Pool, report: Report) -> None:
-    jobs = {}
-    for source in (run.source for run in runs):
-        shards = store.run_of(source).shards
-        for place, entry in enumerate(shards):
-            job = _label_job(shards, place, store, tools)
-            if entry.labels != job.name or not store.labels(job.name).is_dir():
-                jobs[source, entry.file] = job
-    for (source, file), name in workers.each(make_labels, jobs, "label"):
-        run = store.run_of(source)
-        run.set_labels(run.entries[file], name)
-        store.keep(source)
-        report.labelled += 1
+def _make_labels(plan: Plan[NamedJob], store: Store, workers: Pool, report: Report) -> None:
+    with OpenRuns(store) as lists:
+        for (source, file), name in workers.each(make_labels, _label_jobs(plan, lists), plan.total, "label"):
+            lists.done(source, replace(lists.entry(source, file), labels=name))
+            report.labelled += 1
 
 
-def _label_job(shards: Sequence[Entry], place: int, store: Store, tools: Tools) -> LabelJob:
-    before, after = halo(shards, place)
-    own = shards[place]
-    assert own.shard is not None
-    folders = store.folder / "shards", store.folder / "labels"
-    return LabelJob(*folders, before, own.shard, after, own.labels, tools.teacher, tools.teacher_options)
+def _label_jobs(plan: Plan[NamedJob], lists: OpenRuns) -> Iterator[tuple[tuple[str, str], LabelJob]]:
+    for source, jobs in plan:
+        lists.begin(source, len(jobs))
+        for file, job in jobs:
+            yield (source, file), job
 
 
 def prune(store: Store) -> int:
     """Removes shards, labels and pairs that no list of segments and no frozen list names; returns their number."""
     frozen = [kept for file in (store.folder / "frozen").glob("*.json") for kept in read_version(file).shards]
-    entries = [entry for run in store.runs.values() for entry in run.shards]
-    shards = {entry.shard for entry in entries} | {kept.shard for kept in frozen}
-    labels = {entry.labels for entry in entries} | {kept.labels for kept in frozen}
+    shards = {kept.shard for kept in frozen}
+    labels = {kept.labels for kept in frozen}
+    for run in store.runs.values():
+        shards.update(entry.shard for entry in run.shards if entry.shard is not None)
+        labels.update(entry.labels for entry in run.shards)
     unused = [folder for folder in (store.folder / "shards").glob("*") if folder.name not in shards]
     unused += [folder for folder in (store.folder / "labels").glob("*") if folder.name not in labels]
     # A pair index is named by its shard and a key.

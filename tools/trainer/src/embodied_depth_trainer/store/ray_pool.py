@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
@@ -14,13 +14,10 @@ import torch
 from embodied_depth_trainer.cluster import joined, result_of
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.shared_folder import check_mark, marked
-from embodied_depth_trainer.store.pool import Job, Key, Result
+from embodied_depth_trainer.store.pool import JOBS_FOR_EACH_WORKER, Job, Key, Result
 
 # How often Ray starts a job again whose process or node was lost.
 RETRIES = 3
-# Jobs that are submitted for each CPU: one that is computed and one that waits for it, so that a year of segments is
-# not in Ray's memory at once.
-JOBS_FOR_EACH_CPU = 2
 
 
 class RayJobs:
@@ -34,14 +31,13 @@ class RayJobs:
             self.mark = stack.enter_context(marked(folder))
             self.joined = stack.pop_all()
 
-    def results(self, work: Callable[[Job], Result], jobs: Mapping[Key, Job]) -> Iterator[tuple[Key, Result]]:
+    def results(self, work: Callable[[Job], Result], jobs: Iterator[tuple[Key, Job]]) -> Iterator[tuple[Key, Result]]:
         """The results with their keys, as they are done."""
         task = self.ray.remote(num_cpus=1, max_retries=RETRIES)(_done)
-        waiting = iter(jobs.items())
         running: dict[Any, Key] = {}
         try:
             while True:
-                for key, job in islice(waiting, max(0, self._most() - len(running))):
+                for key, job in islice(jobs, max(0, self._most() - len(running))):
                     running[task.remote(work, job, self.mark)] = key
                 if not running:
                     return
@@ -54,7 +50,7 @@ class RayJobs:
 
     def _most(self) -> int:
         """The number of jobs at once; nodes may join and leave meanwhile."""
-        return max(1, int(JOBS_FOR_EACH_CPU * self.ray.cluster_resources().get("CPU", 0)))
+        return max(1, int(JOBS_FOR_EACH_WORKER * self.ray.cluster_resources().get("CPU", 0)))
 
     def close(self) -> None:
         self.joined.close()

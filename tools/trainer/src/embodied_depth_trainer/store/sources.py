@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import fnmatch
+import os
 import re
 import shutil
-from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 from embodied_depth_trainer.data.messages import SEGMENT_NAME, segments
@@ -21,14 +23,16 @@ from embodied_depth_trainer.store.manifest import Entry
 class LocalSegment:
     """A segment in a directory."""
 
-    file: Path
+    # Text instead of a path, because a path costs more than to ask the file system about it.
+    folder: str
+    name: str
 
     def __str__(self) -> str:
-        return str(self.file)
+        return f"{self.folder}/{self.name}"
 
     @property
-    def name(self) -> str:
-        return self.file.name
+    def file(self) -> Path:
+        return Path(self.folder, self.name)
 
     def entry(self) -> Entry:
         """What its run lists of it, without a digest."""
@@ -37,8 +41,8 @@ class LocalSegment:
 
     def is_known(self, entry: Entry) -> bool:
         """Whether the file is the one that the entry was made of."""
-        now = self.entry()
-        return (entry.bytes, entry.modified_ns) == (now.bytes, now.modified_ns)
+        state = os.stat(str(self))
+        return (entry.bytes, entry.modified_ns) == (state.st_size, state.st_mtime_ns)
 
     def on_disk(self, scratch: Path) -> AbstractContextManager[Path]:
         """Its file, while the context lasts."""
@@ -104,26 +108,36 @@ def is_url(source: Path | str) -> bool:
     return isinstance(source, str) and "://" in source
 
 
-def find_runs(source: Path | str) -> list[RecordedRun]:
-    """All runs below a directory or a URL, in the order of their names."""
+def find_runs(source: Path | str) -> Iterator[RecordedRun]:
+    """All runs below a directory or a URL, as they are found, so that memory holds one of them at a time."""
     return _in_bucket(str(source)) if is_url(source) else _in_directory(Path(source))
 
 
-def _in_directory(source: Path) -> list[RecordedRun]:
+def _in_directory(source: Path) -> Iterator[RecordedRun]:
     if not source.is_dir():
         raise TrainerError(f"{source} is no directory; give the --out directory of a run, or one that holds runs")
-    folders = sorted({file.parent for file in source.rglob("recording_*.mcap")})
-    return [RecordedRun(str(run.resolve()), tuple(map(LocalSegment, segments(run)))) for run in folders]
+    for folder, below, files in os.walk(source):
+        below.sort()
+        if fnmatch.filter(files, "recording_*.mcap"):
+            names = sorted(
+                (file for file in files if re.fullmatch(SEGMENT_NAME, file)), key=lambda name: (len(name), name)
+            )
+            if not names:
+                # Names what is missing.
+                segments(Path(folder))
+            yield RecordedRun(os.path.realpath(folder), tuple(LocalSegment(folder, name) for name in names))
 
 
-def _in_bucket(url: str) -> list[RecordedRun]:
+def _in_bucket(url: str) -> Iterator[RecordedRun]:
+    """The runs of a listing, which has the objects of a folder one after the other. A store that lists in another order
+    gives a run in several parts."""
     url = url.rstrip("/")
-    found: dict[str, list[RemoteSegment]] = defaultdict(list)
-    for listed in list_objects(url):
-        folder, _, name = listed.path.rpartition("/")
-        if re.fullmatch(SEGMENT_NAME, name):
-            found[f"{url}/{folder}".rstrip("/")].append(RemoteSegment(url, listed))
-    if not found:
+    recorded = (RemoteSegment(url, listed) for listed in list_objects(url))
+    wanted = (segment for segment in recorded if re.fullmatch(SEGMENT_NAME, segment.name))
+    is_empty = True
+    for folder, parts in groupby(wanted, key=lambda segment: segment.listed.path.rpartition("/")[0]):
+        is_empty = False
+        in_order = sorted(parts, key=lambda segment: (len(segment.name), segment.name))
+        yield RecordedRun(f"{url}/{folder}".rstrip("/"), tuple(in_order))
+    if is_empty:
         raise TrainerError(f"{url} holds no recording_NNNN.mcap; give the URL that `pull-buffer` uploads to")
-    in_order = {run: sorted(found[run], key=lambda segment: (len(segment.name), segment.name)) for run in sorted(found)}
-    return [RecordedRun(run, tuple(parts)) for run, parts in in_order.items()]

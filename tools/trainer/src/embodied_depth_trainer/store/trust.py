@@ -43,7 +43,7 @@ def review(store: Store, robots: KnownRobots) -> dict[str, str]:
         changed = {file: entry for file, entry in reviewed.items() if entry != run.entries[file]}
         if changed:
             run.entries.update(changed)
-            store.keep(run.source)
+            store.keep(run)
         found.update({f"{run.source}/{file}": entry.refused for file, entry in changed.items() if entry.refused})
     return found
 
