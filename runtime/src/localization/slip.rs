@@ -13,11 +13,13 @@ const MOST_SHARE: f64 = 0.5;
 
 /// Wheels that spin report at least this share of what the scans take back.
 const SPIN_SHARE: f64 = 0.7;
-/// Wheels that report the wrong direction: in the newest scan the robot has moved back by this share of what they report.
-const REVERSED_SHARE: [f64; 2] = [0.5, 2.0];
-/// And not by less than this, metres and radians, which may be noise.
-const REVERSED_M: f64 = 0.01;
-const REVERSED_RAD: f64 = 0.015;
+/// What the newest scan takes back, as a multiple of what the wheels report: of wheels that spin, and of wheels that report the wrong
+/// direction, whose motion is as long the other way, within a factor of two.
+const SPINNING: [f64; 2] = [0.7, 1.4];
+const REVERSED: [f64; 2] = [1.5, 3.0];
+/// And what is taken back, or the motion the other way, is not less than this, metres and radians, which may be noise.
+const LEAST_M: f64 = 0.01;
+const LEAST_RAD: f64 = 0.015;
 /// A scan that follows late takes back several motions at once. The sums then hold about half of what was taken back, if the robot had stood.
 const REVERSED_SUMS: [f64; 2] = [0.4, 0.6];
 
@@ -42,9 +44,6 @@ pub(crate) struct Slip {
     /// Fading sums: what the scans report more than the wheels, and what the wheels report.
     more: Sums,
     wheels: Sums,
-    /// Whether scans that contradict the wheels do so by what the wheels report, in metres and in radians.
-    shift: Contradiction,
-    rotation: Contradiction,
     is_reported: bool,
 }
 
@@ -68,31 +67,6 @@ impl Sums {
     }
 }
 
-/// Compares the wheels with the scans, scan by scan, where they differ. What was driven before is not in it, other than in [`Sums`].
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-struct Contradiction {
-    /// Fading sum of what the scans take back, times what the wheels report.
-    taken_back: f64,
-    /// Fading sum of the squared differences.
-    difference: f64,
-}
-
-impl Contradiction {
-    fn add(&mut self, wheels: [f64; 2], more: [f64; 2]) {
-        self.taken_back = MEMORY * self.taken_back - dot(wheels, more);
-        self.difference = MEMORY * self.difference + dot(more, more);
-    }
-
-    /// 1 when the robot stands and its wheels move, 0 when it is the other way.
-    fn spin_share(&self) -> f64 {
-        self.taken_back / self.difference
-    }
-}
-
-fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
-    a[0] * b[0] + a[1] * b[1]
-}
-
 impl Slip {
     /// The wheels predicted one pose and the scan corrected it to another. Returns an error of the wheels once, when it begins.
     pub(crate) fn observe(&mut self, predicted: &Pose2, corrected: &Pose2) -> Option<WheelError> {
@@ -106,29 +80,23 @@ impl Slip {
         );
         self.wheels.add(&wheels);
         self.more.add(&more);
-        self.shift.add([wheels.x_m, wheels.y_m], [more.x_m, more.y_m]);
-        self.rotation.add([wheels.yaw_rad, 0.0], [more.yaw_rad, 0.0]);
         let shifted = is_beyond(self.more.length_m(), MOST_M, MOST_SHARE * self.wheels.length_m());
         let rotated =
             is_beyond(self.more.yaw_rad.abs(), MOST_RAD, MOST_SHARE * self.wheels.yaw_rad.abs());
         let was_reported = self.is_reported;
         self.is_reported = shifted || rotated;
         (self.is_reported && !was_reported).then(|| {
-            let is_reversed = if shifted {
-                are_reversed(wheels.x_m, scans.x_m, REVERSED_M)
+            let newest = if shifted {
+                kind_of_newest([wheels.x_m, wheels.y_m], [more.x_m, more.y_m], LEAST_M)
             } else {
-                are_reversed(wheels.yaw_rad, scans.yaw_rad, REVERSED_RAD)
+                kind_of_newest([wheels.yaw_rad, 0.0], [more.yaw_rad, 0.0], LEAST_RAD)
             };
-            if is_reversed { WheelError::Reversed } else { self.kind(shifted) }
+            newest.unwrap_or_else(|| self.kind(shifted))
         })
     }
 
     /// Wheels that spin report what the scans take back, and wheels that report the wrong direction half of it.
     fn kind(&self, shifted: bool) -> WheelError {
-        let contradiction = if shifted { self.shift } else { self.rotation };
-        if contradiction.spin_share() > SPIN_SHARE {
-            return WheelError::Spin;
-        }
         let [wheels, more] = [self.wheels, self.more];
         let (reported, taken_back, size) = if shifted {
             (wheels.x_m, -more.x_m, more.length_m())
@@ -151,11 +119,32 @@ impl Slip {
     }
 }
 
-/// Whether the newest scan moved about as far as the wheels report, the other way. The sums cannot tell: what was driven before is in
-/// them.
-fn are_reversed(wheels: f64, scans: f64, least: f64) -> bool {
-    let [from, to] = REVERSED_SHARE;
-    wheels * scans < 0.0 && scans.abs() > least && (from..=to).contains(&(scans / wheels).abs())
+/// What the newest scan takes back of what the wheels report, if it says so clearly: about all of it when they spin, about twice as much
+/// when they report the wrong direction. The sums cannot tell where the robot drove the other way before.
+fn kind_of_newest(wheels: [f64; 2], more: [f64; 2], least: f64) -> Option<WheelError> {
+    let reported2 = dot(wheels, wheels);
+    let difference2 = dot(more, more);
+    let taken_back = -dot(wheels, more);
+    // Aside from the wheels' direction, it is a push.
+    if difference2 < least * least || taken_back < SPIN_SHARE * (reported2 * difference2).sqrt() {
+        return None;
+    }
+    let share = (difference2 / reported2).sqrt();
+    let [least_spin, most_spin] = SPINNING;
+    let [least_reversed, most_reversed] = REVERSED;
+    if (least_spin..=most_spin).contains(&share) {
+        Some(WheelError::Spin)
+    } else if (least_reversed..=most_reversed).contains(&share)
+        && difference2.sqrt() > reported2.sqrt() + least
+    {
+        Some(WheelError::Reversed)
+    } else {
+        None
+    }
+}
+
+fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
 }
 
 fn is_beyond(value: f64, bound: f64, other_bound: f64) -> bool {
