@@ -99,8 +99,8 @@ class Run:
 
 
 def _runs(count: int) -> tuple[Run, ...]:
-    """Walks through `count` homes of each kind. The lengths of the lists have no common divisor, so that kinds of homes,
-    policies, mounts and textures do not always occur together. Half of the cameras are the default one."""
+    """Walks through `count` homes of each kind. The lengths of the lists have no common divisor, so that kinds of
+    homes, policies, mounts and textures do not always occur together. Half of the cameras are the default one."""
     policies = ("active", "frontier", "active", "forward", "frontier", "active", "heuristic")
     mounts = (DEFAULT, LEVEL, DEFAULT, Mount(8.0, 0.6), DEFAULT, Mount(22.0, 1.1), DEFAULT, Mount(12.0, 0.35))
     textures = ("", "&texture=0.1", "", "&texture=0.5", "&texture=0.8")
