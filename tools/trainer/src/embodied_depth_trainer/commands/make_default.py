@@ -184,7 +184,7 @@ def _log(text: str) -> None:
 
 def add_make_default(command: argparse.ArgumentParser) -> None:
     command.add_argument("--robot", type=Path, required=True, help="firmware-host, a release build")
-    command.add_argument("--work", type=Path, required=True, help="directory for runs and training; needs 15 GB")
+    command.add_argument("--work", type=Path, required=True, help="directory for runs and training; needs 25 GB")
     add_init(command)
     add_device(command)
     add_amp(command)
