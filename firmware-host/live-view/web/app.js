@@ -38,8 +38,9 @@ const readers = {
   "/scan": (bytes) => map.set({ scan: messages.scan(bytes) }),
   "/map": (bytes) => map.setGrid(messages.grid(bytes)),
   "/keep_out": (bytes) => {
-    map.set({ areas: messages.areas(bytes) });
-    $("open-areas").hidden = map.areas.length === 0;
+    const { keep_out: closed = [], keep_in: allowed = [] } = messages.areas(bytes);
+    map.set({ closed, allowed });
+    $("open-areas").hidden = closed.length === 0;
   },
   "/path": (bytes) => map.set({ path: messages.path(bytes) }),
   "/camera/image": (bytes) => show("camera", bytes),

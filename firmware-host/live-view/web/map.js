@@ -1,6 +1,6 @@
 // The map: cells, path, goal, scan and robot on a canvas that can be moved and zoomed.
 
-const COLORS = { unknown: "#b9c3cc", robot: "#009e73", path: "#0072b2", scan: "#d55e00", goal: "#a3407a", closed: "#b00020", ink: "#17202a" };
+const COLORS = { unknown: "#b9c3cc", robot: "#009e73", path: "#0072b2", scan: "#d55e00", goal: "#a3407a", closed: "#b00020", allowed: "#009e73", ink: "#17202a" };
 const ROBOT_M = 0.18;
 
 export class MapView {
@@ -15,7 +15,8 @@ export class MapView {
     this.path = [];
     this.goal = null;
     this.asked = null;
-    this.areas = [];
+    this.closed = [];
+    this.allowed = [];
     this.draft = [];
     this.pointers = new Map();
     this.listen();
@@ -81,7 +82,8 @@ export class MapView {
     context.fillStyle = COLORS.unknown;
     context.fillRect(0, 0, this.width, this.height);
     this.paintCells(context);
-    for (const corners of this.areas) this.paintArea(context, corners, true);
+    for (const corners of this.allowed) this.paintOutline(context, corners);
+    for (const corners of this.closed) this.paintArea(context, corners, true);
     this.paintArea(context, this.draft, false);
     this.paintScale(context);
     this.paintPath(context);
@@ -97,6 +99,19 @@ export class MapView {
     const [left, top] = this.toPixels({ x, y: y + rows * cell });
     context.imageSmoothingEnabled = false;
     context.drawImage(cells, left, top, columns * cell * this.scale, rows * cell * this.scale);
+  }
+
+  // An area that the robot does not leave: its outline only.
+  paintOutline(context, corners) {
+    context.save();
+    context.strokeStyle = COLORS.allowed;
+    context.lineWidth = 3;
+    context.setLineDash([8, 5]);
+    context.beginPath();
+    for (const corner of corners) context.lineTo(...this.toPixels(corner));
+    context.closePath();
+    context.stroke();
+    context.restore();
   }
 
   // Dashed and filled; one that is being drawn has dots at its corners.

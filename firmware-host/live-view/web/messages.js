@@ -90,12 +90,14 @@ export function path(bytes) {
   return poses;
 }
 
-// foxglove.SceneUpdate with one entity of closed lines: the corners of each.
+// foxglove.SceneUpdate with entities of closed lines: the corners of each line, by the names of the entities.
 export function areas(bytes) {
-  const areas = [];
+  const entities = {};
   eachField(bytes, (number, entity) => {
     if (number !== 2) return;
+    const areas = [];
     eachField(entity, (number, line) => {
+      if (number === 3) entities[text.decode(line)] = areas;
       if (number !== 11) return;
       const corners = [];
       eachField(line, (number, point) => {
@@ -106,7 +108,7 @@ export function areas(bytes) {
       areas.push(corners);
     });
   });
-  return areas;
+  return entities;
 }
 
 // foxglove.CompressedImage

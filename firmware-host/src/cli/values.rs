@@ -15,30 +15,32 @@ pub fn whole_number(
     }
 }
 
-pub fn parse_seconds(text: &str) -> Result<f64, String> {
+/// Seconds, from 0 to an hour.
+pub(super) fn parse_seconds(text: &str) -> Result<f64, String> {
     let seconds = text.parse::<f64>().ok().filter(|seconds| (0.0..=3600.0).contains(seconds));
     seconds.ok_or_else(|| format!("`{text}` is not a number of seconds from 0 to 3600"))
 }
 
-pub fn parse_scale(text: &str) -> Result<f64, String> {
+/// A factor above 0.
+pub(super) fn parse_scale(text: &str) -> Result<f64, String> {
     let scale = text.parse::<f64>().ok().filter(|scale| *scale > 0.0 && scale.is_finite());
     scale.ok_or_else(|| format!("`{text}` is not a number above 0"))
 }
 
-pub fn parse_place(text: &str) -> Result<[f64; 2], String> {
-    let numbers: Result<Vec<f64>, _> =
-        text.split(',').map(|part| part.trim().parse::<f64>()).collect();
-    match numbers.as_deref() {
-        Ok([x_m, y_m]) if x_m.is_finite() && y_m.is_finite() => Ok([*x_m, *y_m]),
-        _ => Err(format!("`{text}` is not two numbers such as 1.5,-2")),
-    }
+/// x and y, metres.
+pub(super) fn parse_place(text: &str) -> Result<[f64; 2], String> {
+    finite(text).ok_or_else(|| format!("`{text}` is not two numbers such as 1.5,-2"))
 }
 
-pub fn parse_start(text: &str) -> Result<[f64; 3], String> {
-    let numbers: Result<Vec<f64>, _> =
-        text.split(',').map(|part| part.trim().parse::<f64>()).collect();
-    match numbers.as_deref() {
-        Ok([x, y, yaw]) if [x, y, yaw].iter().all(|value| value.is_finite()) => Ok([*x, *y, *yaw]),
-        _ => Err(format!("`{text}` is not three numbers such as 1.5,-2,90")),
-    }
+/// x and y in metres, and the heading in degrees.
+pub(super) fn parse_start(text: &str) -> Result<[f64; 3], String> {
+    finite(text).ok_or_else(|| format!("`{text}` is not three numbers such as 1.5,-2,90"))
+}
+
+/// Exactly `N` finite numbers with commas between them.
+fn finite<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let numbers: Vec<f64> =
+        text.split(',').map(|part| part.trim().parse().ok()).collect::<Option<_>>()?;
+    let numbers: [f64; N] = numbers.try_into().ok()?;
+    numbers.iter().all(|number| number.is_finite()).then_some(numbers)
 }

@@ -19,7 +19,6 @@ use super::Mounts;
 use super::channels::Topic;
 use super::depth_color;
 use super::hub::Hub;
-use super::keep_out_scene;
 use super::tick_copy::TickCopy;
 use crate::config::LiveSection;
 use crate::run::status::{Status, unix_s};
@@ -120,8 +119,8 @@ impl Encoder {
         if let Some(Ok(grid)) = copy.map.as_ref().map(|map| messages::grid(map, time_ns)) {
             self.put(Topic::Map, &grid);
         }
-        if let Some(areas_m) = &copy.areas_m {
-            self.put(Topic::KeepOut, &keep_out_scene::scene(areas_m, time_ns));
+        if let Some(areas) = &copy.areas {
+            self.put(Topic::KeepOut, &areas.scene(time_ns));
         }
         if self.hub.is_fresh(Topic::Events) {
             // A client that subscribes while depth is missing also receives the event that says so.

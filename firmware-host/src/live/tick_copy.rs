@@ -11,7 +11,7 @@ use runtime::tick::{Decision, TickInput};
 
 use super::channels::Topic;
 use super::hub::Hub;
-use super::keep_out_scene;
+use super::keep_out_scene::Areas;
 use super::rate::Pulse;
 use super::words::Now;
 use crate::config::LiveSection;
@@ -35,7 +35,7 @@ pub struct TickCopy {
     pub scan: Option<LaserScan>,
     pub path_m: Option<Vec<[f64; 2]>>,
     pub map: Option<MapView>,
-    pub areas_m: Option<Vec<Vec<[f64; 2]>>>,
+    pub areas: Option<Areas>,
     pub frame: Option<RgbImage>,
     pub depth: Option<DepthMap>,
     pub events: Vec<Event>,
@@ -106,7 +106,7 @@ impl Copies {
                 || !input.areas.is_empty()
                 || self.areas.is_due(at))
         {
-            copy.areas_m = Some(keep_out_scene::areas_m(robot.explorer().keep_out()));
+            copy.areas = Some(Areas::of(robot.explorer().keep_out()));
         }
         if let Some(view) = input.frame.filter(|_| self.hub.wants(Topic::Camera))
             && self.camera.is_due(at)

@@ -119,18 +119,19 @@ fn two_metres_from(home: &Home, here: &Pose2) -> Pose2 {
         let (sin, cos) = bearing_rad.sin_cos();
         Pose2::new(here.x_m + metres * cos, here.y_m + metres * sin, here.yaw_rad + 2.0)
     };
-    let fits_near = |at: &Pose2, radius_m: f64| {
-        (0..8).all(|eighth| {
-            let (sin, cos) = (f64::from(eighth) * TAU / 8.0).sin_cos();
-            plan.fits(at.x_m + radius_m * cos, at.y_m + radius_m * sin, &[])
-        })
+    let fits = |at: &Pose2| plan.fits(at.x_m, at.y_m, &[]);
+    let has_room = |at: &Pose2| {
+        let around = (0..8).map(|eighth| Pose2::new(0.0, 0.0, f64::from(eighth) * TAU / 8.0));
+        around
+            .map(|ahead| at.compose(&ahead).compose(&Pose2::new(ROOM_M, 0.0, 0.0)))
+            .all(|at| fits(&at))
     };
     let bearings = (0..72).map(|step| f64::from(step) * TAU / 72.0);
     let open_m = |bearing_rad: f64| {
         let steps = (1..=20).map(|step| 0.1 * f64::from(step));
         steps
-            .take_while(|metres| fits_near(&place(bearing_rad, *metres), 0.0))
-            .filter(|metres| fits_near(&place(bearing_rad, *metres), ROOM_M))
+            .take_while(|metres| fits(&place(bearing_rad, *metres)))
+            .filter(|metres| has_room(&place(bearing_rad, *metres)))
             .last()
             .unwrap_or(0.0)
     };

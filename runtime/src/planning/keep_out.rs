@@ -34,12 +34,14 @@ impl KeepOut {
         }
     }
 
-    /// The corners of every area, metres in `map`: those to keep in, those that the configuration closes, and those that were drawn.
-    pub fn polygons_m(&self) -> impl Iterator<Item = &[[f64; 2]]> {
-        self.keep_in_m.iter().map(Vec::as_slice).chain(self.closed_m())
+    /// The corners of every area that the robot must not leave, metres in `map`.
+    #[must_use]
+    pub fn keep_in_m(&self) -> &[Vec<[f64; 2]>] {
+        &self.keep_in_m
     }
 
-    fn closed_m(&self) -> impl Iterator<Item = &[[f64; 2]]> {
+    /// The corners of every closed area, metres in `map`; first those of the configuration, then those that were drawn.
+    pub fn closed_m(&self) -> impl Iterator<Item = &[[f64; 2]]> {
         let drawn_m = self.drawn_m.iter().map(<[[f64; 2]; 4]>::as_slice);
         self.configured_m.iter().map(Vec::as_slice).chain(drawn_m)
     }
@@ -47,7 +49,7 @@ impl KeepOut {
     /// Whether there is no area.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.polygons_m().next().is_none()
+        self.keep_in_m.is_empty() && self.closed_m().next().is_none()
     }
 
     /// Whether the robot must not be at a point in `map`: it lies in a closed area, or in none of those to keep in.
@@ -177,7 +179,7 @@ mod tests {
         let corners_m = [[0.01, 0.01], [0.49, 0.01], [0.49, 0.29], [0.01, 0.29]];
         keep_out.change(AreaChange::Close { corners_m });
         assert!(keep_out.forbids([0.2, 0.1]) && closed(&keep_out)[21][22]);
-        assert_eq!(keep_out.polygons_m().count(), 2);
+        assert_eq!(keep_out.closed_m().count(), 2);
         keep_out.change(AreaChange::OpenAll);
         assert!(!keep_out.forbids([0.2, 0.1]));
         assert_eq!(closed(&keep_out), configured);
