@@ -23,6 +23,7 @@ import duckdb  # noqa: F401
 
 from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE, query, update
+from embodied_depth_trainer.store.complete import COMPLETE_FILE
 from embodied_depth_trainer.store.listing import freeze
 from embodied_depth_trainer.store.prepare import Tools, plan, prepare
 from embodied_depth_trainer.store.recipe import Recipe
@@ -71,6 +72,12 @@ def frozen(sql: str) -> Callable[[Path], int]:
     return part
 
 
+def known_first(work: Path) -> int:
+    """All segments have shards and labels, and no plan has found that before."""
+    (work / "store" / COMPLETE_FILE).unlink(missing_ok=True)
+    return known(work)
+
+
 def known(work: Path) -> int:
     """All segments have shards and labels."""
     store = Store(work / "store")
@@ -92,7 +99,8 @@ PARTS: dict[str, Callable[[Path], int]] = {
     "query: segments in which a robot was lost, by month": asked(LOST),
     "freeze: the last week": frozen(LAST_WEEK),
     "freeze: the year": frozen(ALL),
-    "`prepare` planning: nothing is missing (shards and labels)": known,
+    "`prepare` planning: nothing is missing (shards and labels), for the first time": known_first,
+    "`prepare` planning: nothing is missing, again": known,
     "`prepare` planning: all shards are missing": missing,
 }
 

@@ -159,7 +159,6 @@ def test_a_crop_has_its_part_of_the_line() -> None:
     batch = make_batch(frames, index, index[:, None] + 1, (0.1, 20.0), None).cropped(32, 64)
     assert batch.lidar is not None
     assert torch.equal(batch.lidar, lidar_lines(frames.lidar, index)[..., 32:96])
-    assert batch.share(1, 2).lidar is not None
 
 
 def test_training_on_the_line_alone_reduces_the_metric_error(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.recording import read_segment
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import ArrayFolder
+from embodied_depth_trainer.store.complete import COMPLETE_FILE
 from embodied_depth_trainer.store.dataset import open_dataset, open_shard
 from embodied_depth_trainer.store.prepare import prepare, prune
 from embodied_depth_trainer.store.store import Store
@@ -27,8 +28,9 @@ def walk() -> Frames:
 
 
 def content(store: Store) -> dict[str, bytes]:
-    """All files of the store but the lists of segments, which hold times of modification."""
+    """All files of the store but the lists of segments and what is known of them, which hold times of modification."""
     files = [file for file in store.folder.rglob("*") if file.is_file() and "runs" not in file.parts]
+    files = [file for file in files if file.name != COMPLETE_FILE]
     return {str(file.relative_to(store.folder)): file.read_bytes() for file in files}
 
 

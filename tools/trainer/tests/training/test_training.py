@@ -20,7 +20,13 @@ import pytest
 import torch
 
 from embodied_depth_trainer.commands.cli import main
-from embodied_depth_trainer.data.batches import coarse_dropout_mask, coarse_planes, jitter_colors, to_depth
+from embodied_depth_trainer.data.batches import (
+    ColorChanges,
+    coarse_dropout_mask,
+    coarse_planes,
+    jitter_colors,
+    to_depth,
+)
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.labels import labels
 from embodied_depth_trainer.data.pairs import PairRule, pairs_by_baseline
@@ -283,7 +289,7 @@ def test_the_learning_rate_stays_constant_and_then_falls_to_zero() -> None:
 
 def test_about_half_of_the_images_are_jittered_and_coarse_depth_is_dropped() -> None:
     images = random_image((16, 16), 0).expand(200, -1, -1, -1)
-    changed = jitter_colors(images, np.random.default_rng(0))
+    changed = jitter_colors(images, ColorChanges.draw(200, np.random.default_rng(0)))
     same_ = torch.isclose(changed, images, atol=1e-3).flatten(1).all(1).float().mean()
     assert 0.35 < float(same_) < 0.65
     assert float((changed - images).abs().mean()) < 0.1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -23,6 +22,8 @@ HUE_CHANGE = 0.1
 COLOR_PROBABILITY = 0.5
 NO_COARSE_PROBABILITY = 0.15
 HOLE_PROBABILITY = 0.35
+# All samples of a batch.
+ALL = slice(None)
 
 
 def rgb_planes(frames: FrameSet, index: NDArray[np.int64], device: torch.device | str = "cpu") -> Tensor:
@@ -112,20 +113,6 @@ class Batch:
             left=self.left + left,
         )
 
-    def share(self, place: int, places: int) -> Batch:
-        """Every `places`th sample from `place` on: the share of one process."""
-        if places == 1:
-            return self
-        mine = slice(place, None, places)
-
-        def of(value: Any) -> Any:  # noqa: ANN401
-            if isinstance(value, list):
-                return [part[mine] for part in value]
-            return value if value is None or isinstance(value, int) else value[mine]
-
-        fields: dict[str, Any] = {name: of(value) for name, value in vars(self).items()}
-        return Batch(**fields)
-
     def as_dict(self) -> Mapping[str, Tensor | list[Tensor]]:
         """The content of the file that is saved when a loss is not finite."""
         return {
@@ -145,16 +132,20 @@ def make_batch(
     depth_range_m: tuple[float, float],
     random: np.random.Generator | None,
     device: torch.device | str = "cpu",
+    mine: slice = ALL,
 ) -> Batch:
-    """Builds the batch of `targets` [B] and `sources` [B, S]; augments it when `random` is given."""
+    """Builds the batch of `targets` [B] and `sources` [B, S]; augments it when `random` is given.
+
+    Only the samples `mine` are read: the share of one process. Random numbers are drawn for all samples, so that a
+    sample is the same in any number of processes.
+    """
+    shape = torch.Size((len(targets), 1, frames.camera.height, frames.camera.width))
+    colors = ColorChanges.draw(len(targets), random) if random is not None else None
+    kept = coarse_dropout_mask(shape, random) if random is not None and frames.coarse is not None else None
+    targets = targets[mine]
+    sources = sources[mine]
     image = rgb_planes(frames, targets, device)
     coarse = coarse_planes(frames, targets, depth_range_m, device)
-    augmented = image
-    dropped = coarse
-    if random is not None:
-        augmented = jitter_colors(image, random)
-        if frames.coarse is not None:
-            dropped = coarse * coarse_dropout_mask(coarse.shape, random).to(device)
     poses = frames.t_world_camera
     # Inverses in double precision: far from the origin, single precision would cost tenths of a pixel.
     inverse = np.linalg.inv(poses[sources])
@@ -164,8 +155,8 @@ def make_batch(
         targets,
         sources,
         image,
-        augmented,
-        dropped,
+        image if colors is None else jitter_colors(image, colors.of(mine)),
+        coarse if kept is None else coarse * kept[mine].to(device),
         coarse,
         None if frames.labels is None else depth_planes(frames.labels, targets, device),
         [rgb_planes(frames, sources[:, view], device) for view in range(count)],
@@ -174,24 +165,40 @@ def make_batch(
     )
 
 
-def jitter_colors(image: Tensor, random: np.random.Generator) -> Tensor:
-    """Jitters brightness, contrast, saturation and hue of about every second image, each image independently."""
-    batch = len(image)
-    changed = random.random(batch) < COLOR_PROBABILITY
-    brightness, contrast, saturation = (
-        random.uniform(1 - COLOR_CHANGE, 1 + COLOR_CHANGE, (3, batch)) * changed + ~changed
-    )
-    angle = random.uniform(-HUE_CHANGE, HUE_CHANGE, batch) * changed * 2 * np.pi
-    # In YIQ (luma and two chroma axes), a hue shift is a rotation and saturation a scale.
-    to_yiq = np.array([[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]])
-    rotation = np.zeros((batch, 3, 3))
-    rotation[:, 0, 0] = 1
-    rotation[:, 1, 1] = rotation[:, 2, 2] = np.cos(angle) * saturation
-    rotation[:, 1, 2] = -np.sin(angle) * saturation
-    rotation[:, 2, 1] = np.sin(angle) * saturation
-    mix = np.linalg.inv(to_yiq) @ rotation @ to_yiq * (brightness * contrast)[:, None, None]
-    matrix = torch.from_numpy(mix.astype(np.float32)).to(image.device)
-    level = torch.from_numpy((brightness * (1 - contrast)).astype(np.float32)).to(image.device).view(-1, 1, 1, 1)
+@dataclass(frozen=True)
+class ColorChanges:
+    """Changes of brightness, contrast, saturation and hue of about every second image [B], each image independently."""
+
+    level: NDArray[np.float32]
+    """Added to the image, as a part of its mean [B]."""
+    matrix: NDArray[np.float32]
+    """Of the colours [B, 3, 3]."""
+
+    @staticmethod
+    def draw(batch: int, random: np.random.Generator) -> ColorChanges:
+        changed = random.random(batch) < COLOR_PROBABILITY
+        brightness, contrast, saturation = (
+            random.uniform(1 - COLOR_CHANGE, 1 + COLOR_CHANGE, (3, batch)) * changed + ~changed
+        )
+        angle = random.uniform(-HUE_CHANGE, HUE_CHANGE, batch) * changed * 2 * np.pi
+        # In YIQ (luma and two chroma axes), a hue shift is a rotation and saturation a scale.
+        to_yiq = np.array([[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]])
+        rotation = np.zeros((batch, 3, 3))
+        rotation[:, 0, 0] = 1
+        rotation[:, 1, 1] = rotation[:, 2, 2] = np.cos(angle) * saturation
+        rotation[:, 1, 2] = -np.sin(angle) * saturation
+        rotation[:, 2, 1] = np.sin(angle) * saturation
+        mix = np.linalg.inv(to_yiq) @ rotation @ to_yiq * (brightness * contrast)[:, None, None]
+        return ColorChanges((brightness * (1 - contrast)).astype(np.float32), mix.astype(np.float32))
+
+    def of(self, mine: slice) -> ColorChanges:
+        return ColorChanges(self.level[mine], self.matrix[mine])
+
+
+def jitter_colors(image: Tensor, changes: ColorChanges) -> Tensor:
+    """The images [B, 3, H, W] with changed colours, in 0..1."""
+    matrix = torch.from_numpy(changes.matrix).to(image.device)
+    level = torch.from_numpy(changes.level).to(image.device).view(-1, 1, 1, 1)
     mean = image.mean((1, 2, 3), keepdim=True)
     mixed = torch.einsum("bij,bjhw->bihw", matrix, image)
     return (mixed + level * mean).clamp(0, 1)

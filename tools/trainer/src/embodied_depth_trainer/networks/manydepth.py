@@ -70,6 +70,10 @@ class VolumeAugmentation:
         still = chance < STILL_PROBABILITY
         return VolumeAugmentation(still, ~still & (chance < STILL_PROBABILITY + EMPTY_PROBABILITY))
 
+    def of(self, mine: slice) -> VolumeAugmentation:
+        still, empty = (None if samples is None else samples[mine] for samples in (self.still, self.empty))
+        return VolumeAugmentation(still, empty)
+
 
 def unreliable(volume: Tensor, depths_m: Tensor, teacher_m: Tensor) -> Tensor:
     """bool [B, 1, H, W]: the depth of the cheapest plane and the teacher's depth [B, 1, H, W] differ by more than a

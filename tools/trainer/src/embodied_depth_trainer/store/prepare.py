@@ -15,6 +15,7 @@ from embodied_depth_trainer.cluster import LOCAL
 from embodied_depth_trainer.data.teacher_options import TeacherOptions
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
 from embodied_depth_trainer.store.chain import breaks
+from embodied_depth_trainer.store.complete import CompleteRuns
 from embodied_depth_trainer.store.known_robots import KnownRobots
 from embodied_depth_trainer.store.labels import LabelJob, halo, labels_name, make_labels
 from embodied_depth_trainer.store.manifest import Entry, Run
@@ -89,19 +90,27 @@ def plan(
     all there, labels that are missing."""
     shards, labels = Plan[RecordedSegment](store.folder), Plan[NamedJob](store.folder)
     in_store = store.shard_names, store.labels_names
+    complete = CompleteRuns(store, tools.known_robots, in_store)
     # A run below two sources is found twice.
     planned = set()
     for recorded in (run for source in sources for run in find_runs(source)):
         if (recorded.source, recorded.segments[0].name) in planned:
             continue
         planned.add((recorded.source, recorded.segments[0].name))
+        state = complete.state(recorded)
+        if complete.has(recorded, state):
+            continue
         run = store.run_of(recorded.source)
         missing = [segment for segment in recorded.segments if not _is_prepared(segment, run, in_store[0], tools)]
-        missing = [segment for segment in missing if not (growing and _is_open(segment, recorded))]
-        if missing:
-            shards.add(recorded.source, missing)
-        elif tools.recipe.labels:
-            labels.add(recorded.source, _unlabelled(run, in_store[1], store, tools))
+        closed = [segment for segment in missing if not (growing and _is_open(segment, recorded))]
+        unlabelled = _unlabelled(run, in_store[1], store, tools) if tools.recipe.labels and not closed else []
+        if closed:
+            shards.add(recorded.source, closed)
+        elif unlabelled:
+            labels.add(recorded.source, unlabelled)
+        elif not missing:
+            complete.add(recorded, state, run)
+    complete.write()
     return shards, labels
 
 

@@ -39,6 +39,11 @@ class LocalSegment:
         state = self.file.stat()
         return Entry(self.name, state.st_size, state.st_mtime_ns, "")
 
+    def state(self) -> str:
+        """What changes when the file does."""
+        state = os.stat(str(self))
+        return f"{state.st_size} {state.st_mtime_ns}"
+
     def is_known(self, entry: Entry) -> bool:
         """Whether the file is the one that the entry was made of."""
         state = os.stat(str(self))
@@ -66,6 +71,10 @@ class RemoteSegment:
 
     def entry(self) -> Entry:
         return Entry(self.name, self.listed.bytes, self.listed.modified_ns, "", etag=self.listed.etag)
+
+    def state(self) -> str:
+        """What changes when the object does."""
+        return f"{self.listed.bytes} {self.listed.etag or self.listed.modified_ns}"
 
     def is_known(self, entry: Entry) -> bool:
         """Whether the object is the one that the entry was made of: by its tag if there is one, else by its time."""

@@ -8,6 +8,7 @@
     datasets/NAME.json   lists of the shards that trainings have read
     frozen/NAME.json     lists whose shards and labels are kept
     downloads/           segments of an object store while they are read
+    complete.npz         runs of which nothing was missing when they were last planned
 
 Shards are named by the digests of their segment and of the recipe.
 """
@@ -18,6 +19,7 @@ import json
 import os
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
+from hashlib import blake2b
 from pathlib import Path
 
 import numpy as np
@@ -55,22 +57,38 @@ class Runs(Mapping[str, Run]):
         return sum(1 for _ in self)
 
 
+def name_hash(name: str) -> int:
+    """A hash of 64 bits. Of 600,000 names, two have equal hashes in one of 100 million folders."""
+    return int.from_bytes(blake2b(name.encode(), digest_size=8).digest(), "little", signed=True)
+
+
 class Names:
     """What a folder holds, in eight bytes for each name. To ask the file system about each of a year's shards takes six
-    times as long as to read the folder once. Of 600,000 names, two have equal hashes in one of 100 million folders."""
+    times as long as to read the folder once."""
 
     def __init__(self, folder: Path) -> None:
         hashes: NDArray[np.int64] = np.empty(0, np.int64)
         if folder.is_dir():
             with os.scandir(folder) as files:
-                hashes = np.fromiter((hash(file.name) for file in files), np.int64)
+                hashes = np.fromiter((name_hash(file.name) for file in files), np.int64)
         hashes.sort()
-        self.hashes = memoryview(hashes.data)
+        self.hashes = hashes
+        self.view = memoryview(hashes.data)
 
     def __contains__(self, name: str | None) -> bool:
-        wanted = hash(name)
-        place = bisect_left(self.hashes, wanted)
-        return place < len(self.hashes) and self.hashes[place] == wanted
+        if name is None:
+            return False
+        wanted = name_hash(name)
+        place = bisect_left(self.view, wanted)
+        return place < len(self.view) and self.view[place] == wanted
+
+    def have(self, hashes: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of these hashes are those of a name."""
+        if not len(self.hashes):
+            return np.zeros(len(hashes), np.bool_)
+        places = np.searchsorted(self.hashes, hashes).clip(max=len(self.hashes) - 1)
+        found: NDArray[np.bool_] = self.hashes[places] == hashes
+        return found
 
 
 class Store:
@@ -152,9 +170,13 @@ class Store:
         """The run at this absolute path or URL; an empty one if it is new."""
         return self.runs.get(Run.name_of(source)) or Run(source)
 
+    def run_file(self, source: str) -> Path:
+        """The list of the run at this absolute path or URL."""
+        return self.folder / "runs" / f"{Run.name_of(source)}.json"
+
     def keep(self, run: Run) -> None:
         """Writes the list of a run's segments."""
-        write_run(run, self.folder / "runs" / f"{Run.name_of(run.source)}.json")
+        write_run(run, self.run_file(run.source))
 
 
 def shard_name(segment_digest: str, recipe_digest: str) -> str:

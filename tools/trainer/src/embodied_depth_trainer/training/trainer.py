@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from embodied_depth_trainer import processes
-from embodied_depth_trainer.data.batches import Batch, coarse_dropout_mask, make_batch, to_depth
+from embodied_depth_trainer.data.batches import ALL, Batch, coarse_dropout_mask, make_batch, to_depth
 from embodied_depth_trainer.data.frame_set import FrameSet, giving
 from embodied_depth_trainer.data.pairs import Pairs
 from embodied_depth_trainer.data.prefetch import Prefetcher
@@ -163,17 +163,21 @@ class Trainer:
 
     def batch(self, step: int) -> Batch:
         """This process's share of the batch of a step."""
-        return self._whole_batch(step).share(processes.rank(), processes.count())
+        return self.part_of_batch(step, slice(processes.rank(), None, processes.count()))
 
-    def _whole_batch(self, step: int) -> Batch:
+    def part_of_batch(self, step: int, mine: slice) -> Batch:
+        """These samples of the batch of a step; no others are read."""
         random = np.random.default_rng([self.settings.seed, step])
         targets, sources = self.pairs.sample(self.settings.batch, random)
         augment = random if self.settings.augment else None
-        batch = make_batch(self.frames, targets, sources, self.settings.depth_range_m, augment, self.device)
+        range_m = self.settings.depth_range_m
+        batch = make_batch(self.frames, targets, sources, range_m, augment, self.device, mine)
         if self.settings.given_depth == "dense":
             # It has no holes that the network would have to learn to fill.
             batch = replace(batch, coarse=batch.coarse_full)
-        batch = self._with_volume(batch, augment) if isinstance(self.network, ManyDepth) else batch
+        if isinstance(self.network, ManyDepth):
+            drawn = VolumeAugmentation.none() if augment is None else VolumeAugmentation.draw(len(targets), augment)
+            batch = self._with_volume(batch, drawn.of(mine))
         width = self.settings.crop_width
         if width:
             places = (self.frames.camera.width - width) // SIZE_STEP + 1
@@ -186,18 +190,15 @@ class Trainer:
         one = np.array([target], np.int64)
         batch = make_batch(self.frames, one, sources[None], self.settings.depth_range_m, None, self.device)
         if isinstance(self.network, ManyDepth):
-            return self._with_volume(batch, None)
+            return self._with_volume(batch, VolumeAugmentation.none())
         if self.settings.augment and self.settings.given_depth == "coarse" and self.frames.coarse is not None:
             kept = coarse_dropout_mask(batch.coarse.shape, np.random.default_rng([VALIDATION_SEED, target]))
             batch = replace(batch, coarse=batch.coarse * kept.to(batch.coarse.device))
         return batch
 
-    def _with_volume(self, batch: Batch, random: np.random.Generator | None) -> Batch:
-        """Replaces coarse depth by the cost volume, which is augmented at random if `random` is given."""
+    def _with_volume(self, batch: Batch, augmentation: VolumeAugmentation) -> Batch:
+        """Replaces coarse depth by the cost volume."""
         assert isinstance(self.network, ManyDepth)
-        augmentation = (
-            VolumeAugmentation.draw(len(batch.targets), random) if random is not None else VolumeAugmentation.none()
-        )
         planes = volume_planes(self.frames, batch.targets, self.network.depths_m, self.device, augmentation.still)
         if augmentation.empty is not None:
             planes[torch.from_numpy(augmentation.empty).to(planes.device)] = 0
@@ -205,7 +206,7 @@ class Trainer:
 
     def _restore_statistics(self) -> None:
         """Gives the batch norms of a loaded ONNX file the statistics of the first batches."""
-        batches = (self._whole_batch(step) for step in range(STATISTICS_BATCHES))
+        batches = (self.part_of_batch(step, ALL) for step in range(STATISTICS_BATCHES))
         takes_two = takes_coarse(self.network)
         inputs = ((b.augmented, b.coarse) if takes_two else (b.augmented,) for b in batches)
         restore_statistics(self.network, inputs)
