@@ -91,6 +91,9 @@ enum Chore {
     /// Localize along real logs of other robots, and print the errors against ground truth. The logs are not part of the project:
     /// without `../shared/data/lidar` it says so and does nothing.
     Localization {
+        /// Instead of the logs: errors and costs of drives in simulated homes, beside KISS-ICP. Takes half an hour.
+        #[arg(long)]
+        drives: bool,
         /// Write the table to docs/data/localization.json and docs/localization.md.
         #[arg(long)]
         update: bool,
@@ -218,7 +221,7 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Test { all } => test::run(*all),
         Chore::Bench { json, update, filter } => bench::run(*json, *update, filter.as_deref()),
         Chore::Accuracy { arguments } => accuracy::run(arguments),
-        Chore::Localization { update } => localization::run(*update),
+        Chore::Localization { drives, update } => localization::run(*drives, *update),
         Chore::Calibration { robots, frames, update } => {
             calibration::run(*robots, *frames, *update)
         }

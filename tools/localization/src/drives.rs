@@ -13,6 +13,7 @@ use simulator::odometry::{Odometer, OdometryNoise};
 use simulator::robot::{SimClock, SimLidar};
 use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
 
+use crate::kiss_icp::KissIcp;
 use crate::relocalize::quantile;
 use crate::tour;
 
@@ -25,7 +26,7 @@ const HOUR: usize = 36_000;
 /// Distance between the two poses of a pair, metres.
 const PAIR_M: f64 = 0.2;
 
-pub const COLUMNS: [&str; 8] = [
+pub const COLUMNS: [&str; 10] = [
     "simulated home",
     "scans",
     "driven (m)",
@@ -34,6 +35,8 @@ pub const COLUMNS: [&str; 8] = [
     "scan to pose, ms p50 / p99",
     "closing loops, ms a tick p99 / max",
     "memory (MiB)",
+    "KISS-ICP: mm / mrad",
+    "KISS-ICP: ms p50 / p99",
 ];
 
 /// A robot that is put from pose to pose; its wheels report the motion with the errors of an ordinary base.
@@ -77,6 +80,8 @@ struct Step {
     truth: Pose2,
     t_odom_base: Pose2,
     wheel: Pose2,
+    /// By KISS-ICP, if it runs beside.
+    peer: Pose2,
 }
 
 /// What one drive showed.
@@ -89,17 +94,21 @@ struct Drive {
     /// Milliseconds that other updates took beyond the median of these.
     closing_ms: Vec<f64>,
     memory_mib: f64,
+    /// Milliseconds of KISS-ICP for the same scans; empty if it does not run.
+    peer_ms: Vec<f64>,
 }
 
 /// The row of a drive of one hour, or of one lap if `laps_once`.
 ///
 /// # Errors
 /// A home that cannot be opened.
-pub fn row(home: &str, laps_once: bool) -> Result<[String; 8]> {
+pub fn row(home: &str, laps_once: bool) -> Result<[String; 10]> {
     let world = Arc::new(World::open(home, &OpenOptions::default()).context(home.to_owned())?);
     let drive = drive(&world, laps_once)?;
     let [metres, radians] = errors(&drive.steps, |step| step.t_odom_base);
     let [wheel_metres, wheel_radians] = errors(&drive.steps, |step| step.wheel);
+    let [peer_metres, peer_radians] = errors(&drive.steps, |step| step.peer);
+    let of_peer = |cell: String| if drive.peer_ms.is_empty() { String::new() } else { cell };
     let ms = |values: &[f64], share| quantile(values, share);
     Ok([
         home.to_owned(),
@@ -110,6 +119,8 @@ pub fn row(home: &str, laps_once: bool) -> Result<[String; 8]> {
         format!("{:.2} / {:.2}", ms(&drive.tracking_ms, 0.5), ms(&drive.tracking_ms, 0.99)),
         format!("{:.2} / {:.2}", ms(&drive.closing_ms, 0.99), ms(&drive.closing_ms, 1.0)),
         format!("{:.1}", drive.memory_mib),
+        of_peer(format!("{:.1} / {:.1}", 1e3 * peer_metres, 1e3 * peer_radians)),
+        of_peer(format!("{:.2} / {:.2}", ms(&drive.peer_ms, 0.5), ms(&drive.peer_ms, 0.99))),
     ])
 }
 
@@ -117,12 +128,11 @@ fn drive(world: &Arc<World>, laps_once: bool) -> Result<Drive> {
     let mut rover = Rover::new(world, 1)?;
     let mount = RobotOptions::default().t_base_laser.translation;
     let geometry = rover.lidar.geometry();
-    let mut localizer = Localizer::new(
-        &LocalizationConfig::default(),
-        geometry,
-        Pose2::new(mount.x, mount.y, 0.0),
-    )?;
+    let t_base_laser = Pose2::new(mount.x, mount.y, 0.0);
+    let mut localizer = Localizer::new(&LocalizationConfig::default(), geometry, t_base_laser)?;
     let mut scan = LaserScan::empty(geometry);
+    // An hour would take it long, and say nothing that a lap does not.
+    let mut peer = if laps_once { KissIcp::start()? } else { None };
     let mut drive = Drive::default();
     let mut busy_ms = Vec::new();
     let before_mib = resident_mib();
@@ -142,7 +152,16 @@ fn drive(world: &Arc<World>, laps_once: bool) -> Result<Drive> {
             if let Some(last) = drive.steps.last() {
                 drive.driven_m += last.truth.distance_m(&pose);
             }
-            drive.steps.push(Step { truth: pose, t_odom_base: estimate.t_odom_base, wheel });
+            let by_peer = match &mut peer {
+                Some(peer) => {
+                    let (took_ms, t_first_laser) = peer.update(&scan)?;
+                    drive.peer_ms.push(took_ms);
+                    t_base_laser.compose(&t_first_laser).compose(&t_base_laser.inverse())
+                }
+                None => Pose2::IDENTITY,
+            };
+            let t_odom_base = estimate.t_odom_base;
+            drive.steps.push(Step { truth: pose, t_odom_base, wheel, peer: by_peer });
         }
         if laps_once {
             break;
@@ -212,6 +231,7 @@ mod tests {
                 truth,
                 t_odom_base: shift.compose(&truth),
                 wheel: Pose2::new(1.01 * truth.x_m, 0.0, 0.0),
+                peer: Pose2::IDENTITY,
             })
             .collect();
         let [metres, radians] = errors(&steps, |step| step.t_odom_base);

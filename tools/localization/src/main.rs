@@ -5,6 +5,7 @@
 
 mod closures;
 mod drives;
+mod kiss_icp;
 mod relations;
 mod relocalize;
 mod tour;
