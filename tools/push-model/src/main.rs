@@ -15,6 +15,11 @@ use fleet::FleetArgs;
 use signed_model::{Bundle, generate_keys, read_secret_key, sign};
 use target::Target;
 
+const USAGE: &str = "push-model [OPTIONS] <MODEL> <TARGET>
+       push-model [OPTIONS] <MODEL> --fleet <FILE>
+       push-model --fleet <FILE> --status
+       push-model <COMMAND>";
+
 /// Send a signed model to a robot, which tests it before it is installed, and show the robot's answer. With --fleet: to many robots.
 #[derive(Debug, Parser)]
 #[command(
@@ -22,6 +27,7 @@ use target::Target;
     version,
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
+    override_usage = USAGE,
     after_help = fleet::EXIT_CODES,
     arg_required_else_help = true
 )]
@@ -50,7 +56,7 @@ enum Task {
 #[derive(Debug, Args)]
 struct PushArgs {
     /// The model, NAME.onnx. Its signature must be beside it in NAME.onnx.minisig, unless --key is given.
-    #[arg(required_unless_present = "status")]
+    #[arg(value_name = "MODEL", required_unless_present = "status")]
     bundle: Option<PathBuf>,
     /// The robot as [user@]host or [user@]host:STORE, or the directory of a model store on this computer.
     #[arg(required_unless_present = "fleet", conflicts_with = "fleet")]

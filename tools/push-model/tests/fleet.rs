@@ -14,13 +14,17 @@ use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
 /// A robot's program. Its store has `list.json`, the answer to `model list`, and `answer.json`, that to `model install`. After an
-/// install, `after.json` becomes the list. The file `kills` lets it end `push-model` after it has stored the model.
+/// install, `after.json` becomes the list, and after the next list `ended.json`, if there is one. The file `kills` lets it end `push-model` after it has stored the model.
 const PROGRAM: &str = r#"#!/bin/sh
 verb=$2
 while [ "$1" != --store ]; do shift; done
 cd "$2" || exit 2
 if [ "$verb" = list ]; then
-    if [ -f list.json ]; then cat list.json; exit 0; fi
+    if [ -f list.json ]; then
+        cat list.json
+        if [ -f ended.json ] && [ ! -f after.json ]; then mv ended.json list.json; fi
+        exit 0
+    fi
     echo "no route to this robot" >&2
     exit 255
 fi
@@ -99,6 +103,14 @@ impl Scene {
         self.put(robot, "list.json", &list);
     }
 
+    /// The robot will keep the model after it was asked once during the trial.
+    fn will_keep(&self, robot: &str) {
+        self.ends_trial(robot, "kept", "");
+        fs::rename(self.path(robot).join("list.json"), self.path(robot).join("ended.json"))
+            .unwrap();
+        self.put(robot, "list.json", EMPTY);
+    }
+
     fn push(&self, more: &[&str]) -> Output {
         self.run(&[&["student.onnx"], more].concat())
     }
@@ -146,14 +158,14 @@ fn a_canary_that_refuses_halts_the_rollout_and_nothing_else_is_sent_until_it_is_
     assert_exits(&scene.push(&[]), 1, &["halted", why, "--resume"]);
     assert_exits(&scene.push(&[]), 1, &["halted"]);
     assert_eq!(scene.sent(), ["c1"]);
-    assert_exits(&scene.push(&["--resume"]), 0, &["ring 10 % begins: 1 robots"]);
+    assert_exits(&scene.push(&["--resume"]), 0, &["ring 10 % begins: 1 robot"]);
     assert_eq!(scene.sent().len(), 2);
 }
 
 #[test]
 fn a_rollback_in_the_second_ring_halts_before_the_third() {
     let scene = Scene::new(&["c1", "a", "b", "d"], "");
-    assert_exits(&scene.push(&[]), 0, &["c1: on trial", "ring canary needs 1 robots"]);
+    assert_exits(&scene.push(&[]), 0, &["c1: on trial", "kept in ring canary: 0"]);
     scene.ends_trial("c1", "kept", "kept after 600 ticks and 5.0 m");
     assert_exits(&scene.push(&[]), 0, &["c1: kept: kept after 600 ticks", "ring 10 % begins"]);
     let sent = scene.sent();
@@ -178,6 +190,15 @@ fn a_rollout_is_complete_when_every_robot_has_kept_the_model_and_the_table_shows
     let runs = format!("student {}", &scene.digest[..12]);
     let header = ["robot", "ring", "verdict", "since (UTC)", "runs", "reason"];
     assert_exits(&scene.run(&["--status"]), 0, &[&header[..], &[&runs, "kept after 600"]].concat());
+}
+
+#[test]
+fn a_call_that_waits_makes_passes_until_the_rollout_is_complete() {
+    let scene = Scene::new(&["c1", "a", "b"], "");
+    ["c1", "a", "b"].iter().for_each(|name| scene.will_keep(name));
+    let words = ["ring 10 % begins", "ring all begins", "complete"];
+    assert_exits(&scene.push(&["--wait", "--every", "1"]), 0, &words);
+    assert_eq!(scene.sent().len(), 3);
 }
 
 #[test]

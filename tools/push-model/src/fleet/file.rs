@@ -316,6 +316,17 @@ target = \"./hall\"
     }
 
     #[test]
+    fn the_example_of_the_documentation_is_a_fleet_with_the_default_rules() {
+        let page = include_str!("../../../../docs/models.md");
+        let (_, rest) = page.split_once("    [rollout] ").unwrap();
+        let lines = rest.lines().take_while(|line| line.is_empty() || line.starts_with("    "));
+        let example: Vec<&str> = lines.map(str::trim_start).collect();
+        let fleet = parse(&format!("[rollout] {}", example.join("\n"))).unwrap();
+        assert_eq!(fleet.rules, Rules::default());
+        assert_eq!(fleet.robots.len(), 2);
+    }
+
+    #[test]
     fn the_rules_of_the_file_replace_the_defaults() {
         let rules = "[rollout]\nrings_percent = [5, 25, 100]\nmax_failed_percent = 0\nkept_percent = 80\nresend_after_min = 5\n";
         let read = parse(&format!("{rules}{TWO}")).unwrap().rules;

@@ -6,7 +6,7 @@
 //! | `rings.rs` | which robot is in which ring |
 //! | `state.rs`, `disk.rs` | what each robot has answered, and the file that keeps it between two passes |
 //! | `answer.rs`, `verdict.rs` | what a robot's program says, and how that changes its verdict |
-//! | `rollout.rs` | the decisions: whom to send to, when the next ring begins, when to halt |
+//! | `rollout.rs` | the decisions: which robots are sent the model, when the next ring begins, when to halt |
 //! | `pass.rs`, `parallel.rs` | one pass over the robots, several at once |
 //! | `robots.rs` | asking and sending over ssh |
 //! | `table.rs` | the status for people and programs |
@@ -53,7 +53,7 @@ pub struct FleetArgs {
     #[arg(long, value_name = "FILE", help_heading = "Fleet")]
     pub fleet: Option<PathBuf>,
     /// Show every robot of the rollout and send nothing. Without a model: of the rollout that began last.
-    #[arg(long, requires = "fleet", conflicts_with_all = ["wait", "resume", "key"], help_heading = "Fleet")]
+    #[arg(long, requires = "fleet", conflicts_with_all = ["wait", "resume"], help_heading = "Fleet")]
     status: bool,
     /// Go on after a halt. The robots that refused the model or rolled it back count no more.
     #[arg(long, requires = "fleet", help_heading = "Fleet")]
@@ -62,13 +62,13 @@ pub struct FleetArgs {
     #[arg(long, requires = "fleet", help_heading = "Fleet")]
     wait: bool,
     /// Time between two passes with --wait.
-    #[arg(long, value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=86400), help_heading = "Fleet")]
+    #[arg(long, value_name = "SECONDS", requires = "wait", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=86400), help_heading = "Fleet")]
     every: u64,
     /// File that keeps the state of the rollout [default: NAME.rollout-DIGEST.json beside FILE].
     #[arg(long, value_name = "PATH", requires = "fleet", help_heading = "Fleet")]
     state: Option<PathBuf>,
     /// Number of robots that are asked or sent to at once.
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=64), help_heading = "Fleet")]
+    #[arg(long, value_name = "N", requires = "fleet", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=64), help_heading = "Fleet")]
     parallel: u16,
     /// Print one JSON object instead of text.
     #[arg(long, requires = "fleet", help_heading = "Fleet")]
@@ -96,15 +96,8 @@ fn roll_out(push: &PushArgs, file: &Path) -> Result<Standing> {
     let fleet = Fleet::read(file)?;
     let path = args.state.clone().unwrap_or_else(|| disk::path_beside(file, &digest));
     let _lock = disk::lock(&path)?;
-    let mut rollout = match disk::read(&path)? {
-        Some(rollout) if rollout.digest == digest => rollout,
-        Some(other) => bail!(
-            "{} is the state of the rollout of {} ({}), and {} is another model ({digest}); leave --state out, or give another path",
-            path.display(),
-            other.model,
-            other.digest,
-            bundle.name
-        ),
+    let mut rollout = match begun(&path, &digest, &bundle.name)? {
+        Some(rollout) => rollout,
         None if args.resume => bail!(
             "no rollout of this model has begun ({} does not exist), so there is none to resume; leave --resume out",
             path.display()
@@ -133,6 +126,20 @@ fn roll_out(push: &PushArgs, file: &Path) -> Result<Standing> {
     }
     show(&rollout, &fleet, &path, push, false);
     Ok(rollout.standing())
+}
+
+/// The rollout of this model that has begun, if there is one.
+fn begun(path: &Path, digest: &str, model: &str) -> Result<Option<Rollout>> {
+    let rollout = disk::read(path)?;
+    if let Some(other) = rollout.as_ref().filter(|rollout| rollout.digest != digest) {
+        bail!(
+            "{} is the state of the rollout of {} ({}), and {model} is another model ({digest}); leave --state out, or give another path",
+            path.display(),
+            other.model,
+            other.digest
+        );
+    }
+    Ok(rollout)
 }
 
 /// Asks all robots and shows what they say. Neither sends anything nor changes the state.

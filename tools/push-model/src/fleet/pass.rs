@@ -7,7 +7,7 @@ use anyhow::Result;
 use super::file::Rules;
 use super::parallel::in_parallel;
 use super::robots::Robots;
-use super::rollout::Standing;
+use super::rollout::{Standing, robots_in_words};
 use super::state::{Record, Rollout, Verdict};
 
 /// What a pass works with.
@@ -43,7 +43,7 @@ impl Pass<'_> {
             let counts = rollout.counts(rollout.open);
             if counts.all > 0 {
                 let name = rollout.ring_name(rollout.open);
-                (self.tell)(&format!("ring {name} begins: {} robots", counts.all));
+                (self.tell)(&format!("ring {name} begins: {}", robots_in_words(counts.all)));
             }
         }
         (self.save)(rollout)

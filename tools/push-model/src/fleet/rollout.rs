@@ -1,4 +1,4 @@
-//! The decisions of a rollout, from the verdicts alone: whom to send to, when the next ring begins, when to halt.
+//! The decisions of a rollout, from the verdicts alone: which robots are sent the model, when the next ring begins, when to halt.
 
 use super::file::Rules;
 use super::state::{Halt, Record, Rollout, Verdict};
@@ -156,7 +156,7 @@ impl Rollout {
         let needed = (others * rules.kept_percent).div_ceil(100);
         (counts.kept < needed).then(|| {
             format!(
-                "ring {} needs {needed} robots that have kept the model and has {}",
+                "kept in ring {}: {}, needed before the next ring: {needed}",
                 self.ring_name(self.open),
                 counts.kept
             )
@@ -186,6 +186,12 @@ impl Rollout {
     pub fn ring_name(&self, ring: usize) -> &str {
         self.rings.get(ring).map_or("?", String::as_str)
     }
+}
+
+/// A number of robots in words.
+#[must_use]
+pub fn robots_in_words(count: usize) -> String {
+    if count == 1 { "1 robot".to_owned() } else { format!("{count} robots") }
 }
 
 /// Whether a ring with this number of failed robots is beyond its limit. `of` is what the share of a later ring refers to.

@@ -6,7 +6,7 @@ use comfy_table::{ContentArrangement, Table, presets::NOTHING};
 use serde_json::{Value, json};
 
 use super::file::Rules;
-use super::rollout::{Counts, Standing};
+use super::rollout::{Counts, Standing, robots_in_words};
 use super::state::{Record, Rollout, Verdict};
 
 /// Width of the table in columns. Longer reasons continue in the next line of their cell.
@@ -44,7 +44,7 @@ fn verdict(record: &Record) -> &'static str {
 
 fn reason(record: &Record) -> String {
     let excused = if record.is_excused && record.verdict.has_failed() {
-        "does not count since --resume: "
+        "not counted since --resume: "
     } else {
         ""
     };
@@ -76,12 +76,12 @@ pub fn summary(rollout: &Rollout, rules: &Rules) -> String {
 
 fn ring_words(counts: Counts, has_begun: bool) -> String {
     if !has_begun {
-        return format!("not begun, {} robots", counts.all);
+        return format!("not begun, {}", robots_in_words(counts.all));
     }
     let parts = [
         (counts.on_trial, "on trial"),
         (counts.failed, "refused, rolled back or replaced"),
-        (counts.excused, "that do not count since --resume"),
+        (counts.excused, "not counted since --resume"),
         (counts.unanswered(), "unanswered"),
     ];
     let parts = parts.iter().filter(|(count, _)| *count > 0);

@@ -59,12 +59,15 @@ impl Record {
         }
     }
 
-    /// Sets the verdict. Its time is when it became known first.
-    pub fn set(&mut self, verdict: Verdict, reason: &str, now_unix_s: u64) {
-        if self.verdict != verdict || self.reason != reason {
+    /// Sets the verdict. Its time is when it became known first, and its reason the first one that was given.
+    fn set(&mut self, verdict: Verdict, reason: &str, now_unix_s: u64) {
+        if self.verdict != verdict {
             self.verdict = verdict;
-            reason.clone_into(&mut self.reason);
             self.unix_s = now_unix_s;
+            self.reason.clear();
+        }
+        if self.reason.is_empty() {
+            reason.clone_into(&mut self.reason);
         }
     }
 }
@@ -150,6 +153,15 @@ mod tests {
             record.take_over(&listed(Some(trial), &[What::Installed]), 2);
             assert_eq!(record.verdict, expected);
         }
+    }
+
+    #[test]
+    fn a_verdict_that_is_given_again_keeps_its_time_and_its_reason() {
+        let mut record = sent_after(&listed(None, &[]));
+        let why = "judged: too slow".to_owned();
+        record.learn_of_sending(&Sent::Judged(Judged::Refused { why: why.clone() }), 4);
+        record.take_over(&listed(None, &[What::Refused]), 9);
+        assert_eq!((record.verdict, record.reason, record.unix_s), (Verdict::Refused, why, 4));
     }
 
     #[test]
