@@ -1,6 +1,7 @@
-//! `push-model`: makes signing keys, signs models, and sends them to a robot over the system's ssh.
+//! `push-model`: makes signing keys, signs models, and sends them to a robot or a fleet over the system's ssh.
 #![forbid(unsafe_code)]
 
+mod fleet;
 mod target;
 
 use std::io::{BufRead, ErrorKind, IsTerminal, Write};
@@ -10,20 +11,29 @@ use std::process::{Command, ExitCode, Stdio};
 use anyhow::{Context, Result, bail};
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
+use fleet::FleetArgs;
 use signed_model::{Bundle, generate_keys, read_secret_key, sign};
 use target::Target;
 
-/// Send a signed model to a robot, which tests it before it is installed, and show the robot's answer.
+const USAGE: &str = "push-model [OPTIONS] <MODEL> <TARGET>
+       push-model [OPTIONS] <MODEL> --fleet <FILE>
+       push-model --fleet <FILE> --status
+       push-model <COMMAND>";
+
+/// Send a signed model to a robot, which tests it before it is installed, and show the robot's answer. With --fleet: to many robots.
 #[derive(Debug, Parser)]
 #[command(
     name = "push-model",
     version,
     args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    override_usage = USAGE,
+    after_help = fleet::EXIT_CODES,
     arg_required_else_help = true
 )]
 struct Cli {
     #[command(flatten)]
-    push: Option<PushArgs>,
+    push: PushArgs,
     #[command(subcommand)]
     command: Option<Task>,
 }
@@ -46,9 +56,11 @@ enum Task {
 #[derive(Debug, Args)]
 struct PushArgs {
     /// The model, NAME.onnx. Its signature must be beside it in NAME.onnx.minisig, unless --key is given.
-    bundle: PathBuf,
+    #[arg(value_name = "MODEL", required_unless_present = "status")]
+    bundle: Option<PathBuf>,
     /// The robot as [user@]host or [user@]host:STORE, or the directory of a model store on this computer.
-    target: String,
+    #[arg(required_unless_present = "fleet", conflicts_with = "fleet")]
+    target: Option<String>,
     /// Sign the model with this secret key before sending it.
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
@@ -61,6 +73,8 @@ struct PushArgs {
     /// Pass an argument to `firmware-host model install`, such as --gate=--unproven. Can be given several times.
     #[arg(long, value_name = "ARG", allow_hyphen_values = true)]
     gate: Vec<String>,
+    #[command(flatten)]
+    fleet: FleetArgs,
 }
 
 #[derive(Debug, Args)]
@@ -90,19 +104,18 @@ struct SignArgs {
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    let result = match (cli.command, cli.push) {
-        (Some(Task::Keygen(args)), _) => keygen(&args).map(|()| ExitCode::SUCCESS),
-        (Some(Task::Sign(args)), _) => {
+    let result = match cli.command {
+        Some(Task::Keygen(args)) => keygen(&args).map(|()| ExitCode::SUCCESS),
+        Some(Task::Sign(args)) => {
             sign_file(&args.model, &args.key, args.name).map(|()| ExitCode::SUCCESS)
         }
-        (Some(Task::Completions { shell }), _) => {
+        Some(Task::Completions { shell }) => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "push-model", &mut script);
             print(&script)
         }
-        (Some(Task::Man), _) => man_page().and_then(|page| print(&page)),
-        (None, Some(args)) => push(&args),
-        (None, None) => Ok(ExitCode::from(2)),
+        Some(Task::Man) => man_page().and_then(|page| print(&page)),
+        None => push(&cli.push),
     };
     result.unwrap_or_else(|error| {
         eprintln!("error: {error:#}");
@@ -163,27 +176,30 @@ fn sign_file(model: &Path, key: &Path, name: Option<String>) -> Result<()> {
     Ok(())
 }
 
-fn push(args: &PushArgs) -> Result<ExitCode> {
+/// The model with its signature, which is made first if there is a key.
+fn signed_bundle(args: &PushArgs) -> Result<Bundle> {
+    let model = args.bundle.as_deref().context("the model is missing; give NAME.onnx")?;
     if let Some(key) = &args.key {
-        sign_file(&args.bundle, key, None)?;
+        sign_file(model, key, None)?;
     }
-    let bundle = Bundle::read_files(&args.bundle)?;
-    let target = Target::parse(&args.target)?;
-    let mut command = match &target {
-        Target::Local { .. } => Command::new(sibling_program(&args.program)),
-        Target::Remote { host, .. } => {
-            let mut ssh = Command::new("ssh");
-            ssh.args(&args.ssh).arg("--").arg(host).arg(&args.program);
-            ssh
-        }
-    };
+    Ok(Bundle::read_files(model)?)
+}
+
+fn push(args: &PushArgs) -> Result<ExitCode> {
+    if let Some(file) = &args.fleet.fleet {
+        return Ok(fleet::run(args, file));
+    }
+    let bundle = signed_bundle(args)?;
+    let to = args.target.as_deref().context("the robot is missing; give [user@]host")?;
+    let target = Target::parse(to)?;
+    let mut command = target.command(&args.program, &args.ssh);
     command.args(target.install_arguments(&args.gate)).stdin(Stdio::piped());
     let mut child = command
         .spawn()
         .with_context(|| format!("cannot start {}", command.get_program().display()))?;
     let mut input = child.stdin.take().context("no standard input")?;
     let mib = bundle.model.len() as f64 / f64::from(1 << 20);
-    eprintln!("sending {} ({mib:.1} MiB) to {}", bundle.name, args.target);
+    eprintln!("sending {} ({mib:.1} MiB) to {to}", bundle.name);
     let sent = bundle.write_stream(&mut input);
     drop(input);
     let status = child.wait()?;
@@ -192,12 +208,6 @@ fn push(args: &PushArgs) -> Result<ExitCode> {
         Err(error) if status.success() => Err(error).context("the bundle was not sent completely"),
         _ => Ok(ExitCode::from(status.code().map_or(1, |code| code as u8))),
     }
-}
-
-/// The program of this name in the directory of this program, if there is one; otherwise the name, to be found in `PATH`.
-fn sibling_program(program: &str) -> PathBuf {
-    let sibling = std::env::current_exe().ok().and_then(|this| Some(this.parent()?.join(program)));
-    sibling.filter(|path| path.is_file()).unwrap_or_else(|| program.into())
 }
 
 /// Reads a line from standard input; on a terminal without echo, if possible.

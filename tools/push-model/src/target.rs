@@ -1,9 +1,12 @@
-//! Parsing of the target that a model is sent to.
+//! Parsing of the target that a model is sent to, and the command that runs its program.
+
+use std::path::PathBuf;
+use std::process::Command;
 
 use anyhow::{Result, bail};
 
 /// A model store on this computer or on a robot.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Target {
     /// A directory on this computer.
     Local { store: String },
@@ -40,14 +43,38 @@ impl Target {
         })
     }
 
-    /// The arguments of the robot's program, quoted for the shell of a remote robot.
+    /// The command that runs the robot's program: directly on this computer, or through ssh with these options.
+    pub fn command(&self, program: &str, ssh_options: &[String]) -> Command {
+        match self {
+            Self::Local { .. } => Command::new(sibling_program(program)),
+            Self::Remote { host, .. } => {
+                let mut ssh = Command::new("ssh");
+                ssh.args(ssh_options).arg("--").arg(host).arg(program);
+                ssh
+            }
+        }
+    }
+
+    /// The arguments with which the robot's program installs a model, quoted for the shell of a remote robot.
     pub fn install_arguments(&self, gate: &[String]) -> Vec<String> {
+        self.arguments(&["model", "install", "-"], gate)
+    }
+
+    /// The arguments with which the robot's program lists its models, quoted for the shell of a remote robot. Of the arguments for
+    /// the gate, it takes only the configuration file.
+    pub fn list_arguments(&self, gate: &[String]) -> Vec<String> {
+        let config: Vec<String> =
+            gate.iter().filter(|argument| argument.starts_with("--config=")).cloned().collect();
+        self.arguments(&["model", "list"], &config)
+    }
+
+    fn arguments(&self, words: &[&str], more: &[String]) -> Vec<String> {
         let store = match self {
             Self::Local { store } => Some(store),
             Self::Remote { store, .. } => store.as_ref(),
         };
-        let mut arguments: Vec<String> = ["model", "install", "-"].map(str::to_owned).to_vec();
-        arguments.extend(gate.iter().map(|argument| self.quoted(argument)));
+        let mut arguments: Vec<String> = words.iter().map(ToString::to_string).collect();
+        arguments.extend(more.iter().map(|argument| self.quoted(argument)));
         if let Some(store) = store {
             arguments.extend(["--store".to_owned(), self.quoted(store)]);
         }
@@ -60,6 +87,12 @@ impl Target {
             Self::Remote { .. } => quoted_for_shell(argument),
         }
     }
+}
+
+/// The program of this name in the directory of this program, if there is one; otherwise the name, to be found in `PATH`.
+fn sibling_program(program: &str) -> PathBuf {
+    let sibling = std::env::current_exe().ok().and_then(|this| Some(this.parent()?.join(program)));
+    sibling.filter(|path| path.is_file()).unwrap_or_else(|| program.into())
 }
 
 /// Quotes text as one word for a POSIX shell.
@@ -98,6 +131,14 @@ mod tests {
         for text in ["-oProxyCommand=sh", "", ":x", "a b"] {
             assert!(Target::parse(text).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn a_list_takes_the_configuration_file_of_the_gate_and_nothing_else() {
+        let target = Target::parse("robot:/models").unwrap();
+        let gate = ["--config=/a b.toml", "--unproven"].map(str::to_owned);
+        let line = target.list_arguments(&gate).join(" ");
+        assert_eq!(line, "model list '--config=/a b.toml' --store '/models'");
     }
 
     #[test]
