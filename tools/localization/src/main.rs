@@ -114,7 +114,9 @@ const HOUR_HOME: &str = "builtin:house?seed=1";
 fn drive_through_homes() -> Result<()> {
     let mut rows = Vec::new();
     for home in relocalize::HOMES {
-        rows.push(drives::row(home, true)?);
+        let row = drives::row(home, true)?;
+        eprintln!("{}", row.join("  "));
+        rows.push(row);
     }
     let mut hour = drives::row(HOUR_HOME, false)?;
     hour[0].push_str(", an hour");
