@@ -103,6 +103,7 @@ mod tests {
     #[test]
     fn only_hits_are_sent_and_each_as_x_and_y() {
         let mut scan = LaserScan::empty(ScanGeometry::UTM_30LX);
+        scan.ranges = vec![Range::NoReturn; scan.geometry.beams];
         scan.ranges[540] = Range::Hit(2.0);
         let bytes = points(&scan);
         assert_eq!(bytes[..4], 1_u32.to_le_bytes());
