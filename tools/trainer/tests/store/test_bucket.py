@@ -307,3 +307,18 @@ def test_a_bucket_that_cannot_be_read_and_one_without_segments_are_named(tmp_pat
         prepared(tmp_path / "store", "s3://fleet/empty")
     with pytest.raises(TrainerError, match="cannot read ftp://fleet/data"):
         prepared(tmp_path / "store", "ftp://fleet/data")
+
+
+def test_a_run_is_erased_with_its_objects_and_markers(
+    walk: Frames, tmp_path: Path, server: Address, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for run in ("monday", "tuesday"):
+        record(tmp_path / "runs/kitchen" / run, walk.at(slice(0, 20 if run == "monday" else 24)), [10])
+    upload(tmp_path / "runs", server)
+    store, _ = prepared(tmp_path / "store")
+    assert main(["erase", f"{URL}/kitchen/monday", "--store", str(store.folder), "--yes"]) == 0
+    left = [found["Key"] for found in client(server).list_objects_v2(Bucket="fleet")["Contents"]]
+    assert len(left) == 3
+    assert all(key.startswith("data/kitchen/tuesday/") for key in left)
+    assert [run.source for run in store.runs.values()] == [f"{URL}/kitchen/tuesday"]
+    assert f"{URL}/kitchen/monday/recording_0000.mcap.blake3" in capsys.readouterr().out

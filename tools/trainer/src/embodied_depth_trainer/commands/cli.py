@@ -52,6 +52,7 @@ COMMANDS = {
     "catalogue": _command(
         "catalogue", "answer questions about the segments of a store in SQL, freeze sets of them, and draw them"
     ),
+    "erase": _command("erase", "erase a run from a store and from an object store, with a receipt"),
     "convert": _command("convert", "write recorded runs as LeRobot datasets or ROS 2 bags"),
     "train": _command("train", "train a depth network on recordings, without a depth sensor"),
     "loop": _command(

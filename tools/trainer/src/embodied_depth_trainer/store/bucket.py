@@ -6,7 +6,7 @@ addresses come from the environment, as for `pull-buffer`: both use the same lib
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -57,6 +57,14 @@ def download(url: str, listed: StoredObject, file: Path) -> None:
     with file.open("wb") as stream:
         for begin in range(0, listed.bytes, PIECE):
             stream.write(_piece(url, listed, begin, min(begin + PIECE, listed.bytes)))
+
+
+def delete_objects(url: str, objects: Sequence[StoredObject]) -> None:
+    """Removes objects that were listed below a URL. A bucket with versions keeps the earlier ones."""
+    try:
+        _store(url).delete([found.path for found in objects])
+    except Exception as problem:
+        raise _unreadable(url, problem) from None
 
 
 def _piece(url: str, listed: StoredObject, begin: int, end: int) -> bytes:
