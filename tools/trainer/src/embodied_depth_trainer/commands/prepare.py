@@ -20,7 +20,8 @@ from embodied_depth_trainer.data.past_frames import GAP, PastFrames
 from embodied_depth_trainer.data.teacher import Teacher
 from embodied_depth_trainer.data.teacher_options import MEAN, MULTIPLE, STD, TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
-from embodied_depth_trainer.store.prepare import Tools, prepare, prune, remove_damaged
+from embodied_depth_trainer.store.parts import Part
+from embodied_depth_trainer.store.prepare import Report, Tools, prepare, prepare_part, prune, remove_damaged
 from embodied_depth_trainer.store.recipe import Coarse, Recipe, engine_of
 from embodied_depth_trainer.store.sources import is_url
 from embodied_depth_trainer.store.store import Store
@@ -30,6 +31,17 @@ from embodied_depth_trainer.studies.robot import find_firmware_host
 def source(text: str) -> Path | str:
     """A directory or a URL."""
     return text if is_url(text) else Path(text)
+
+
+def part(text: str) -> Part:
+    """Parses `2/8`: the second of eight parts."""
+    try:
+        number, count = (int(word) for word in text.split("/"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"`{text}` is not a part such as 2/8 (the second of eight)") from None
+    if not 1 <= number <= count:
+        raise argparse.ArgumentTypeError(f"there is no part `{text}`; parts are counted from 1 to their number")
+    return Part(number, count)
 
 
 def add_prepare(command: argparse.ArgumentParser) -> None:
@@ -43,6 +55,13 @@ def add_prepare(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, required=True, help="the store: a directory to make or to complete")
     command.add_argument("--workers", type=int, help="number of processes of this computer [1]")
     add_cluster(command, "segments are prepared, one for each CPU;")
+    command.add_argument(
+        "--part",
+        type=part,
+        metavar="K/N",
+        help="make only the shards of part K of N, safely beside the other parts (`tools/trainer/jobs`); the same "
+        "command without --part then lists all shards and makes labels [all segments]",
+    )
     command.add_argument("--size", type=image_size, help="reduce the images to rows x columns [as recorded]")
     command.add_argument(
         "--coarse",
@@ -133,20 +152,16 @@ def _teacher_options(options: argparse.Namespace) -> TeacherOptions:
 
 
 def run_prepare(options: argparse.Namespace) -> None:
+    if options.part is not None:
+        run_part(options)
+        return
     options = options if options.on == LOCAL else with_absolute_paths(options)
     tools = tools_of(options)
     store = Store.create(options.out, tools.recipe)
     for problem in remove_damaged(store) if options.check else ():
         print(f"made again: {problem}", file=sys.stderr)
     report = prepare(options.source, store, tools)
-    for file, why in report.damaged.items():
-        print(f"{file}: {why}", file=sys.stderr)
-    for file, why in report.refused.items():
-        print(f"{file}: refused: {why}", file=sys.stderr)
-    for line in report.breaks:
-        print(f"warning: {line}", file=sys.stderr)
-    for name in report.replaced:
-        print(f"{name} was replaced while it was read; prepare it again", file=sys.stderr)
+    print_problems(report)
     print(
         f"{options.out}: {store.frames} frames; {report.segments} segments were new, "
         f"{report.labelled} have new labels, {len(report.damaged)} of the new ones are damaged"
@@ -164,3 +179,30 @@ def run_prepare(options: argparse.Namespace) -> None:
         )
     if store.frames == 0:
         raise TrainerError(f"no frame was found in {', '.join(map(str, options.source))}; record a run first")
+
+
+def run_part(options: argparse.Namespace) -> None:
+    """Makes a part of the shards."""
+    if options.on != LOCAL:
+        raise TrainerError("a Ray cluster divides the segments itself; give --on or --part")
+    if options.check or options.prune:
+        # --prune would remove the shards of all parts, because no list names them yet.
+        raise TrainerError("--check and --prune are of a whole store; give them to the `prepare` without --part")
+    tools = tools_of(options)
+    report = prepare_part(options.source, Store.create(options.out, tools.recipe), tools, options.part)
+    print_problems(report)
+    print(
+        f"{options.out}: part {options.part}: {report.segments} segments were read, {len(report.damaged)} of them are "
+        "damaged; after all parts, the same command without --part lists their shards"
+    )
+
+
+def print_problems(report: Report) -> None:
+    for file, why in report.damaged.items():
+        print(f"{file}: {why}", file=sys.stderr)
+    for file, why in report.refused.items():
+        print(f"{file}: refused: {why}", file=sys.stderr)
+    for line in report.breaks:
+        print(f"warning: {line}", file=sys.stderr)
+    for name in report.replaced:
+        print(f"{name} was replaced while it was read; prepare it again", file=sys.stderr)

@@ -36,6 +36,8 @@ class Plan(Generic[Item]):
         """Number of items."""
 
     def add(self, source: str, items: Sequence[Item]) -> None:
+        if not items:
+            return
         pickle.dump((source, items), self.file)
         self.runs += 1
         self.total += len(items)

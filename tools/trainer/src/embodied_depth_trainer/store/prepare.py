@@ -19,6 +19,7 @@ from embodied_depth_trainer.store.complete import CompleteRuns
 from embodied_depth_trainer.store.known_robots import KnownRobots
 from embodied_depth_trainer.store.labels import LabelJob, halo, labels_name, make_labels
 from embodied_depth_trainer.store.manifest import Entry, Run
+from embodied_depth_trainer.store.parts import Part
 from embodied_depth_trainer.store.plan import OpenRuns, Plan
 from embodied_depth_trainer.store.pool import Pool, pool
 from embodied_depth_trainer.store.recipe import Recipe
@@ -83,11 +84,25 @@ def prepare(sources: Sequence[Path | str], store: Store, tools: Tools, growing: 
     return report
 
 
+def prepare_part(sources: Sequence[Path | str], store: Store, tools: Tools, part: Part) -> Report:
+    """Makes the missing shards of a part of the segments, and no lists and no labels: a list would be written by all
+    parts, and labels need the shards of neighbours. `prepare` makes both afterwards."""
+    report = Report()
+    shards, _ = plan(sources, store, tools, part=part)
+    jobs = (
+        ((source, segment), _shard_job(segment, store, tools)) for source, segments in shards for segment in segments
+    )
+    with pool(tools.on, tools.workers, store.downloads) as workers:
+        for (source, segment), entry in workers.each(make_shard, jobs, shards.total, "segment"):
+            _report(entry, source, segment, report)
+    return report
+
+
 def plan(
-    sources: Sequence[Path | str], store: Store, tools: Tools, growing: bool = False
+    sources: Sequence[Path | str], store: Store, tools: Tools, growing: bool = False, part: Part | None = None
 ) -> tuple[Plan[RecordedSegment], Plan[NamedJob]]:
     """What is to be done of all runs below the sources: segments whose shards are missing and, of runs whose shards are
-    all there, labels that are missing."""
+    all there, labels that are missing. A `part` has no labels."""
     shards, labels = Plan[RecordedSegment](store.folder), Plan[NamedJob](store.folder)
     in_store = store.shard_names, store.labels_names
     complete = CompleteRuns(store, tools.known_robots, in_store)
@@ -101,15 +116,16 @@ def plan(
         if complete.has(recorded, state):
             continue
         run = store.run_of(recorded.source)
-        missing = [segment for segment in recorded.segments if not _is_prepared(segment, run, in_store[0], tools)]
+        wanted = recorded.segments if part is None else part.of(recorded)
+        missing = [segment for segment in wanted if not _is_prepared(segment, run, in_store[0], tools)]
         closed = [segment for segment in missing if not (growing and _is_open(segment, recorded))]
-        unlabelled = _unlabelled(run, in_store[1], store, tools) if tools.recipe.labels and not closed else []
         if closed:
             shards.add(recorded.source, closed)
-        elif unlabelled:
+        elif part is None:
+            unlabelled = _unlabelled(run, in_store[1], store, tools) if tools.recipe.labels else []
             labels.add(recorded.source, unlabelled)
-        elif not missing:
-            complete.add(recorded, state, run)
+            if not missing and not unlabelled:
+                complete.add(recorded, state, run)
     complete.write()
     return shards, labels
 
@@ -165,10 +181,7 @@ def _make_shards(plan: Plan[RecordedSegment], store: Store, tools: Tools, worker
     with OpenRuns(store) as lists:
         jobs = _shard_jobs(plan, lists, store, tools)
         for (source, segment), entry in workers.each(make_shard, jobs, plan.total, "segment"):
-            if entry is None:
-                report.replaced.append(str(segment))
-            else:
-                _add(entry, source, segment, report)
+            _report(entry, source, segment, report)
             complete = lists.done(source, entry)
             if complete is not None:
                 report.breaks += breaks(*complete)
@@ -177,16 +190,22 @@ def _make_shards(plan: Plan[RecordedSegment], store: Store, tools: Tools, worker
 def _shard_jobs(
     plan: Plan[RecordedSegment], lists: OpenRuns, store: Store, tools: Tools
 ) -> Iterator[tuple[tuple[str, RecordedSegment], ShardJob]]:
-    shards = store.folder / "shards"
     for source, segments in plan:
         lists.begin(source, len(segments))
         for segment in segments:
-            job = ShardJob(segment, shards, store.downloads, tools.recipe, tools.robot, tools.known_robots)
-            yield (source, segment), job
+            yield (source, segment), _shard_job(segment, store, tools)
 
 
-def _add(entry: Entry, source: str, segment: RecordedSegment, report: Report) -> None:
-    """Reports a new entry."""
+def _shard_job(segment: RecordedSegment, store: Store, tools: Tools) -> ShardJob:
+    shards = store.folder / "shards"
+    return ShardJob(segment, shards, store.downloads, tools.recipe, tools.robot, tools.known_robots)
+
+
+def _report(entry: Entry | None, source: str, segment: RecordedSegment, report: Report) -> None:
+    """Reports what a job has made of a segment."""
+    if entry is None:
+        report.replaced.append(str(segment))
+        return
     report.segments += 1
     # The review may have refused what was known of it.
     report.refused.pop(f"{source}/{entry.file}", None)

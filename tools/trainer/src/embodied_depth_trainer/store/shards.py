@@ -90,6 +90,9 @@ def _shard_of(job: ShardJob, file: Path) -> Entry:
 
 def _existing(folder: Path) -> dict[str, Any] | None:
     """What describes the shard. What is left of a damaged one is removed."""
+    # Between a failed attempt to open it and the removal, another process could complete it.
+    if not folder.exists():
+        return None
     try:
         return ArrayFolder(folder).meta
     except DamagedError:

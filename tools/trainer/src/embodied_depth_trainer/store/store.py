@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.errors import TrainerError
-from embodied_depth_trainer.files import write_atomically
+from embodied_depth_trainer.files import process_name, write_atomically
 from embodied_depth_trainer.store.manifest import Run, read_run, write_run
 from embodied_depth_trainer.store.recipe import FORMAT_VERSION, Recipe, digest_of
 
@@ -114,7 +114,7 @@ class Store:
         """Opens the store of this recipe, or makes it."""
         file = folder / RECIPE_FILE
         if not file.exists():
-            write_atomically(json.dumps(recipe.plain(), indent=1, sort_keys=True).encode(), file)
+            _begin(file, json.dumps(recipe.plain(), indent=1, sort_keys=True).encode())
         store = Store(folder)
         different = {key: value for key, value in store.recipe.items() if recipe.plain().get(key) != value}
         if different:
@@ -177,6 +177,14 @@ class Store:
     def keep(self, run: Run) -> None:
         """Writes the list of a run's segments."""
         write_run(run, self.run_file(run.source))
+
+
+def _begin(file: Path, recipe: bytes) -> None:
+    """Writes the recipe of a new store. Several processes may begin the same store at the same moment, so each writes a
+    file of its own; if their recipes are different, all but one of them refuse to go on."""
+    own = file.with_name(f"{file.name}.{process_name()}")
+    write_atomically(recipe, own)
+    os.replace(own, file)
 
 
 def shard_name(segment_digest: str, recipe_digest: str) -> str:
