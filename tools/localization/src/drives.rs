@@ -118,7 +118,7 @@ pub fn row(home: &str, laps_once: bool) -> Result<[String; 10]> {
         format!("{:.1} / {:.1}", 1e3 * wheel_metres, 1e3 * wheel_radians),
         format!("{:.2} / {:.2}", ms(&drive.tracking_ms, 0.5), ms(&drive.tracking_ms, 0.99)),
         format!("{:.2} / {:.2}", ms(&drive.closing_ms, 0.99), ms(&drive.closing_ms, 1.0)),
-        format!("{:.1}", drive.memory_mib),
+        if laps_once { String::new() } else { format!("{:.1}", drive.memory_mib) },
         of_peer(format!("{:.1} / {:.1}", 1e3 * peer_metres, 1e3 * peer_radians)),
         of_peer(format!("{:.2} / {:.2}", ms(&drive.peer_ms, 0.5), ms(&drive.peer_ms, 0.99))),
     ])
