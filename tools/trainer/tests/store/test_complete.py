@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from embodied_depth_trainer.data.past_frames import PastFrames
+from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store import manifest
 from embodied_depth_trainer.store.complete import COMPLETE_FILE
 from embodied_depth_trainer.store.known_robots import KnownRobots
@@ -143,3 +146,43 @@ def test_runs_of_other_sources_stay_known(pulled: Path, store: Store, read: list
     read.clear()
     assert planned(pulled, store) == (0, 0)
     assert read == []
+
+
+def test_a_run_whose_oldest_segments_are_deleted_is_kept_once(pulled: Path, store: Store, read: list[str]) -> None:
+    sizes = [int(np.load(store.folder / COMPLETE_FILE)["places"].size)]
+    (pulled / "two" / "recording_0000.mcap").unlink()
+    for _ in range(2):
+        assert planned(pulled, store) == (0, 0)
+        sizes.append(int(np.load(store.folder / COMPLETE_FILE)["places"].size))
+    assert sizes == [3, 3, 3]
+    assert read == ["two"]
+
+
+def test_any_damage_of_the_file_costs_reading_only(pulled: Path, store: Store) -> None:
+    file = store.folder / COMPLETE_FILE
+    whole = file.read_bytes()
+    random = np.random.default_rng(1)
+    for _ in range(300):
+        damaged = bytearray(whole)
+        for place in random.integers(len(whole), size=3):
+            damaged[place] ^= 1 << random.integers(8)
+        file.write_bytes(damaged)
+        assert planned(pulled, store) == (0, 0)
+
+
+def test_processes_that_plan_at_the_same_time_do_not_disturb_each_other(pulled: Path, store: Store) -> None:
+    (store.folder / COMPLETE_FILE).unlink()
+    with ThreadPoolExecutor(4) as threads:
+        assert list(threads.map(lambda _: planned(pulled, store), range(8))) == [(0, 0)] * 8
+    assert planned(pulled, store) == (0, 0)
+
+
+def test_where_the_file_cannot_be_written_planning_goes_on(
+    pulled: Path, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(data: bytes, file: Path) -> None:
+        raise TrainerError(f"cannot write {file}")
+
+    monkeypatch.setattr("embodied_depth_trainer.store.complete.write_atomically", refused)
+    (store.folder / COMPLETE_FILE).unlink()
+    assert planned(pulled, store) == (0, 0)

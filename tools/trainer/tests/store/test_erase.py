@@ -53,8 +53,10 @@ def test_what_was_made_of_a_run_is_gone_and_the_other_run_can_be_trained_on(pull
     assert [run.source for run in store.runs.values()] == [str(pulled / "cellar")]
     assert not store.shard(kitchen[1].shard or "").exists()
     assert not store.labels(kitchen[1].labels or "").exists()
-    # The shared shard stays; its labels in the halo of this run do not.
+    # The shared shard stays. Its labels in the halo of this run do not: frames of this run have voted on them.
     assert store.shard(kitchen[0].shard or "").exists()
+    assert kitchen[0].labels != cellar[0].labels
+    assert not store.labels(kitchen[0].labels or "").exists()
     assert all(store.labels(entry.labels or "").exists() for entry in cellar)
     shutil.rmtree(pulled / "kitchen")
     shards, labels = plan([pulled], store, TOOLS)
@@ -93,6 +95,33 @@ def test_lists_that_trainings_have_read_are_named_and_stay(
     erase(store, pulled / "kitchen", "--yes")
     assert f"datasets/{version.name} names 1 of the erased shards" in capsys.readouterr().out
     assert version.exists()
+
+
+def test_shards_of_an_earlier_state_are_named_and_erased_on_request(
+    pulled: Path, store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    last = store.run_of(str(pulled / "kitchen")).shards[1].shard or ""
+    record(pulled / "kitchen", room(44), [14, 30], range(1, 2))
+    prepare([pulled], store, TOOLS)
+    assert store.shard(last).exists()
+    erase(store, pulled / "kitchen", "--yes")
+    assert "folders that no list names" in capsys.readouterr().out
+    assert store.shard(last).exists()
+    prepare([pulled], store, TOOLS)
+    erase(store, pulled / "kitchen", "--unlisted", "--yes")
+    assert str(store.shard(last)) in capsys.readouterr().out
+    assert not store.shard(last).exists()
+    assert all(store.shard(entry.shard or "").exists() for entry in store.run_of(str(pulled / "cellar")).shards)
+
+
+def test_a_list_that_cannot_be_read_is_named_and_does_not_keep_a_run_from_being_erased(
+    pulled: Path, store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (store.folder / "frozen").mkdir()
+    (store.folder / "frozen" / "old.json").write_text("no list")
+    assert erase(store, pulled / "kitchen", "--yes") == 0
+    assert "not searched, because they cannot be read: frozen/old.json" in capsys.readouterr().out
+    assert len(store.runs) == 1
 
 
 def test_an_interrupted_call_is_repeated(pulled: Path, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:

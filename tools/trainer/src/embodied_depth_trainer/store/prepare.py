@@ -250,8 +250,8 @@ def _label_jobs(plan: Plan[NamedJob], lists: OpenRuns) -> Iterator[tuple[tuple[s
             yield (source, file), job
 
 
-def prune(store: Store) -> int:
-    """Removes shards, labels and pairs that no list of segments and no frozen list names; returns their number."""
+def unlisted(store: Store) -> list[Path]:
+    """Shards, labels and pairs that no list of segments and no frozen list names, and what a killed process left."""
     frozen = [kept for file in (store.folder / "frozen").glob("*.json") for kept in read_version(file).shards]
     shards = {kept.shard for kept in frozen}
     labels = {kept.labels for kept in frozen}
@@ -262,8 +262,13 @@ def prune(store: Store) -> int:
     unused += [folder for folder in (store.folder / "labels").glob("*") if folder.name not in labels]
     # A pair index is named by its shard and a key.
     unused += [folder for folder in (store.folder / "pairs").glob("*") if folder.name.rpartition("-")[0] not in shards]
-    # Of a preparation that was killed.
     unused += store.downloads.glob("*")
-    for folder in unused:
+    return unused
+
+
+def prune(store: Store) -> int:
+    """Removes what no list names; returns the number of folders."""
+    folders = unlisted(store)
+    for folder in folders:
         shutil.rmtree(folder, ignore_errors=True)
-    return len(unused)
+    return len(folders)

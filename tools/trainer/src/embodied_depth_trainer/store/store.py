@@ -19,6 +19,7 @@ import json
 import os
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from hashlib import blake2b
 from pathlib import Path
 
@@ -180,11 +181,13 @@ class Store:
 
 
 def _begin(file: Path, recipe: bytes) -> None:
-    """Writes the recipe of a new store. Several processes may begin the same store at the same moment, so each writes a
-    file of its own; if their recipes are different, all but one of them refuse to go on."""
+    """Writes the recipe of a new store. Several processes may begin the same store at the same moment: the first one
+    wins, and those with another recipe refuse to go on."""
     own = file.with_name(f"{file.name}.{process_name()}")
     write_atomically(recipe, own)
-    os.replace(own, file)
+    with suppress(FileExistsError):
+        os.link(own, file)
+    own.unlink()
 
 
 def shard_name(segment_digest: str, recipe_digest: str) -> str:
