@@ -61,11 +61,9 @@ impl Target {
     }
 
     /// The arguments with which the robot's program lists its models, quoted for the shell of a remote robot. Of the arguments for
-    /// the gate, it takes only the configuration file.
+    /// the gate, it takes those that say where the models are.
     pub fn list_arguments(&self, gate: &[String]) -> Vec<String> {
-        let config: Vec<String> =
-            gate.iter().filter(|argument| argument.starts_with("--config=")).cloned().collect();
-        self.arguments(&["model", "list"], &config)
+        self.arguments(&["model", "list"], &of_all_model_commands(gate))
     }
 
     fn arguments(&self, words: &[&str], more: &[String]) -> Vec<String> {
@@ -95,6 +93,21 @@ fn sibling_program(program: &str) -> PathBuf {
     sibling.filter(|path| path.is_file()).unwrap_or_else(|| program.into())
 }
 
+/// The arguments that every `firmware-host model` command takes: `--config FILE` and `--store DIR`, also with `=`.
+fn of_all_model_commands(gate: &[String]) -> Vec<String> {
+    let mut found = Vec::new();
+    let mut arguments = gate.iter();
+    while let Some(argument) = arguments.next() {
+        if argument.starts_with("--config=") || argument.starts_with("--store=") {
+            found.push(argument.clone());
+        } else if argument == "--config" || argument == "--store" {
+            found.push(argument.clone());
+            found.extend(arguments.next().cloned());
+        }
+    }
+    found
+}
+
 /// Quotes text as one word for a POSIX shell.
 fn quoted_for_shell(text: &str) -> String {
     format!("'{}'", text.replace('\'', r"'\''"))
@@ -103,6 +116,26 @@ fn quoted_for_shell(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_list_is_of_the_store_that_the_model_is_installed_in() {
+        let gate = ["--bound", "1.1", "--config", "/x.toml", "--store=/srv/m", "--config=/y.toml"];
+        let gate: Vec<String> = gate.map(str::to_owned).to_vec();
+        let target = Target::Local { store: "/m".into() };
+        assert_eq!(
+            target.list_arguments(&gate),
+            [
+                "model",
+                "list",
+                "--config",
+                "/x.toml",
+                "--store=/srv/m",
+                "--config=/y.toml",
+                "--store",
+                "/m"
+            ]
+        );
+    }
 
     fn remote(host: &str, store: Option<&str>) -> Target {
         Target::Remote { host: host.into(), store: store.map(Into::into) }

@@ -55,14 +55,19 @@ fn names(rings_percent: &[usize]) -> Vec<String> {
 }
 
 /// Follows changes of the fleet's file during a rollout: a robot that is not in it any more is forgotten, and a new one joins the
-/// last ring, or the canaries if it is one. All others stay in their ring.
+/// last ring. A robot that the file calls a canary now is one, new or not: it may replace the only one. All others stay in their
+/// ring.
 pub fn follow(rollout: &mut Rollout, fleet: &Fleet, now_unix_s: u64) {
     rollout.robots.retain(|record| fleet.robot(&record.name).is_some());
     let last = rollout.rings.len() - 1;
     for robot in &fleet.robots {
-        if !rollout.robots.iter().any(|record| record.name == robot.name) {
-            let ring = if robot.is_canary { 0 } else { last };
-            rollout.robots.push(Record::new(&robot.name, ring, now_unix_s));
+        match rollout.robot_mut(&robot.name) {
+            Some(record) if robot.is_canary => record.ring = 0,
+            Some(_) => {}
+            None => {
+                let ring = if robot.is_canary { 0 } else { last };
+                rollout.robots.push(Record::new(&robot.name, ring, now_unix_s));
+            }
         }
     }
 }
@@ -115,6 +120,25 @@ mod tests {
         assert_eq!(early("one").len(), 4);
         assert_eq!(early("one"), early("one"));
         assert_ne!(early("one"), early("two"));
+    }
+
+    #[test]
+    fn a_robot_that_replaces_the_only_canary_must_keep_the_model_before_the_next_ring_begins() {
+        let mut rollout = begin(&fleet(1, 4, &[50, 100]), "digest", "student", 1);
+        let mut changed = fleet(1, 4, &[50, 100]);
+        changed.robots.remove(0);
+        changed.robots[2].is_canary = true;
+        follow(&mut rollout, &changed, 2);
+        assert_eq!(rollout.counts(0).all, 1);
+        assert!(!rollout.begin_next_ring(&changed.rules));
+        assert_eq!(rollout.to_send(&changed.rules, 3), ["r3"]);
+    }
+
+    #[test]
+    fn without_a_robot_in_the_open_ring_no_ring_of_canaries_is_passed() {
+        let mut rollout = begin(&fleet(1, 4, &[50, 100]), "digest", "student", 1);
+        rollout.robots.retain(|robot| robot.ring > 0);
+        assert!(!rollout.begin_next_ring(&Rules::default()));
     }
 
     #[test]

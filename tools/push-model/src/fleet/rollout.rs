@@ -152,6 +152,10 @@ impl Rollout {
     #[must_use]
     pub fn lacks(&self, rules: &Rules) -> Option<String> {
         let counts = self.counts(self.open);
+        // The file always names a canary; a state without one judged nothing.
+        if self.open == 0 && counts.all == 0 {
+            return Some("no robot is in the ring of canaries".to_owned());
+        }
         let others = counts.all - counts.failed - counts.excused;
         let needed = (others * rules.kept_percent).div_ceil(100);
         (counts.kept < needed).then(|| {
@@ -174,9 +178,12 @@ impl Rollout {
         may
     }
 
-    /// Goes on after a halt, on the order of an operator: the robots that refused the model or rolled it back count no more.
+    /// Goes on after a halt, on the order of an operator: the robots that refused the model or rolled it back count no more. Without
+    /// a halt it changes nothing.
     pub fn resume(&mut self) {
-        self.halted = None;
+        if self.halted.take().is_none() {
+            return;
+        }
         for robot in &mut self.robots {
             robot.is_excused |= robot.verdict.has_failed();
         }

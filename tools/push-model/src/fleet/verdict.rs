@@ -66,6 +66,8 @@ impl Record {
             self.unix_s = now_unix_s;
             self.reason.clear();
         }
+        // It was given the model again, and may fail again.
+        self.is_excused &= verdict.has_failed();
         if self.reason.is_empty() {
             reason.clone_into(&mut self.reason);
         }
@@ -186,6 +188,19 @@ mod tests {
             record.take_over(&listed(None, whats), 5);
             assert_eq!(record.verdict, expected, "{whats:?}");
         }
+    }
+
+    #[test]
+    fn an_excused_robot_that_is_given_the_model_again_counts_when_it_fails_again() {
+        let mut record = sent_after(&listed(None, &[]));
+        record.learn_of_sending(&Sent::Judged(Judged::Refused { why: "too slow".into() }), 4);
+        record.is_excused = true;
+        record.take_over(&listed(None, &[What::Refused]), 5);
+        assert!(!record.counts_as_failed());
+        record.take_over(&listed(Some(Trial::Runs), &[What::Refused, What::Installed]), 6);
+        let whats = [What::Refused, What::Installed, What::RolledBack];
+        record.take_over(&listed(None, &whats), 7);
+        assert!(record.counts_as_failed());
     }
 
     #[test]
