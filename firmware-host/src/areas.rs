@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use runtime::exploration::PolicyKind;
+use runtime::planning::KeepOut;
 use serde_json::Value;
 
 use crate::config::Config;
@@ -50,6 +51,27 @@ impl AreaArgs {
         }
         can_keep_out(policy, config)
     }
+}
+
+/// Whether a robot without a map of before may be where it begins: at (0, 0) of `map`. Elsewhere it would rotate on the spot and
+/// plan no path.
+///
+/// # Errors
+/// What keeps it from being there.
+pub fn allow_the_start(config: &Config) -> Result<()> {
+    let planning = &config.planning;
+    let closed = KeepOut::new(planning.keep_out_m.clone(), Vec::new());
+    let (what, key) = if closed.forbids([0.0; 2]) {
+        ("inside of a closed area", "--keep-out, planning.keep_out_m")
+    } else if KeepOut::new(Vec::new(), planning.keep_in_m.clone()).forbids([0.0; 2]) {
+        ("outside of the areas to keep in", "--keep-in, planning.keep_in_m")
+    } else {
+        return Ok(());
+    };
+    bail!(
+        "the robot begins at (0, 0) of the frame `map`, which is {what} ({key}), and could plan no path; change the areas, \
+         begin at another place, or give the --map that the areas were drawn on"
+    )
 }
 
 /// The polygons of the file that this option names.
@@ -220,5 +242,23 @@ mod tests {
         config.planning.keep_in_m.push(vec![[0.0, 0.0], [1.0, 0.0]]);
         let error = AreaArgs::default().add_to(PolicyKind::Frontier, &mut config).unwrap_err();
         assert!(error.to_string().contains("planning.keep_in_m"), "{error}");
+    }
+
+    #[test]
+    fn a_run_that_would_begin_outside_of_its_areas_is_refused_with_the_key() {
+        let around_m = |x_m: f64| {
+            vec![[x_m - 1.0, -1.0], [x_m + 1.0, -1.0], [x_m + 1.0, 1.0], [x_m - 1.0, 1.0]]
+        };
+        let mut config = Config::default();
+        allow_the_start(&config).unwrap();
+        config.planning.keep_in_m = vec![around_m(0.0)];
+        config.planning.keep_out_m = vec![around_m(5.0)];
+        allow_the_start(&config).unwrap();
+        config.planning.keep_in_m = vec![around_m(5.0)];
+        let error = allow_the_start(&config).unwrap_err().to_string();
+        assert!(error.contains("outside") && error.contains("--keep-in"), "{error}");
+        config.planning.keep_out_m = vec![around_m(0.0)];
+        let error = allow_the_start(&config).unwrap_err().to_string();
+        assert!(error.contains("closed area") && error.contains("--keep-out"), "{error}");
     }
 }

@@ -19,6 +19,7 @@ use runtime::robot::Robot;
 use runtime::task::Task;
 use simulator::SimulatedRobot;
 
+use crate::areas;
 use crate::cli::ExploreArgs;
 use crate::config::Config;
 use crate::control_panel::ControlPanel;
@@ -71,6 +72,9 @@ pub fn run(args: &ExploreArgs) -> Result<()> {
     let mut robot = Robot::new(config.robot(&mission), network)?;
     let map =
         args.map.as_deref().map(|path| KeptMap::open(path, &mut robot, &config)).transpose()?;
+    if map.as_ref().and_then(KeptMap::loaded).is_none() {
+        areas::allow_the_start(&config)?;
+    }
     prepare_dir(&args.out)?;
     // This is checked without a recording, too: the summary of another run would be overwritten.
     refuse_old_recording(&args.out)?;

@@ -35,6 +35,7 @@ use runtime::recording::{RunHeader, RunIdentity};
 use runtime::robot::Robot;
 use segment_store::signature::RobotKey;
 
+use crate::areas;
 use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::model::{Keeper, LiveModels};
@@ -98,6 +99,9 @@ pub fn run(args: &RunArgs, arming: Arming) -> Result<ExploreEnd> {
     let mut robot = Robot::new(config.robot(&mission), network)?;
     let map =
         args.map.as_deref().map(|path| KeptMap::open(path, &mut robot, &config)).transpose()?;
+    if map.as_ref().and_then(KeptMap::loaded).is_none() {
+        areas::allow_the_start(&config)?;
+    }
     let poses = PoseSocket::open(&config.run.pose_socket)?;
     let key = identity::robot_key(&config)?;
     let identity = identity::of_run(&config, key.as_ref())?;

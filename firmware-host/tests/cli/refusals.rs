@@ -80,6 +80,23 @@ fn a_start_that_fails_leaves_no_recording_that_would_refuse_the_next_try() {
 }
 
 #[test]
+fn a_run_that_would_begin_outside_of_the_area_to_keep_in_is_refused_and_leaves_no_folder() {
+    let dir = TempDir::new().unwrap();
+    let area = dir.path().join("kitchen.geojson");
+    let corners = [[3.0, 3.0], [4.0, 3.0], [4.0, 4.0], [3.0, 3.0]];
+    let polygon = serde_json::json!({ "type": "Polygon", "coordinates": [corners] });
+    std::fs::write(&area, polygon.to_string()).unwrap();
+    let more = [&HOME[..], &["--keep-in", area.to_str().unwrap()]].concat();
+    let (explored, out) = explore_for(&dir, "3", SMALL, "run", &more);
+    let said = text(&explored.stderr);
+    assert!(
+        explored.status.code() == Some(1) && said.contains("outside of the areas to keep in"),
+        "{said}"
+    );
+    assert!(!out.exists());
+}
+
+#[test]
 fn calibrate_refuses_its_configuration_and_its_output_before_it_measures() {
     let dir = TempDir::new().unwrap();
     // The recording is not there: everything else is refused before it is read.
