@@ -224,13 +224,15 @@ def test_processes_that_begin_a_store_at_the_same_moment_do_not_meet(
     assert [file.name for file in (tmp_path / "store").iterdir()] == ["recipe.json"]
 
 
-def test_of_processes_that_begin_a_store_with_different_recipes_one_is_refused(
+def test_of_processes_that_begin_a_store_with_different_recipes_the_first_one_wins(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun_meanwhile(Recipe("none", size=(16, 32), labels=False), tmp_path, monkeypatch)
-    Store.create(tmp_path / "store", Recipe("none", labels=False))
+    first = Recipe("none", size=(16, 32), labels=False)
+    begun_meanwhile(first, tmp_path, monkeypatch)
     with pytest.raises(TrainerError, match="give another --out"):
-        Store.create(tmp_path / "store", Recipe("none", size=(16, 32), labels=False))
+        Store.create(tmp_path / "store", Recipe("none", labels=False))
+    assert Store.create(tmp_path / "store", first).recipe["size"] == [16, 32]
+    assert [file.name for file in (tmp_path / "store").iterdir()] == ["recipe.json"]
 
 
 def begun_meanwhile(recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
