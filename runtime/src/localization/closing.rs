@@ -30,9 +30,8 @@ const MIN_OVERLAP: f32 = 0.5;
 const MIN_INLIERS: f32 = 0.8;
 /// And how exactly.
 const MAX_RMS_M: f32 = 0.035;
-/// And how well it says where the robot is in the direction that it says least about, one standard deviation. A corridor with
-/// little in it fits at several places along itself: without this bound, four loops of the Intel log were 0.3 to 0.7 m off
-/// (docs/localization.md).
+/// Largest standard deviation of the place, in the direction in which it is known least. A corridor with little in it fits at
+/// several places along itself: without this bound, four loops of the Intel log were 0.3 to 0.7 m off (docs/localization.md).
 const MAX_UNCERTAINTY_M: f64 = 0.06;
 /// A rival with this share of the best one's inliers makes both doubtful.
 const RIVAL_SHARE: f32 = 0.9;

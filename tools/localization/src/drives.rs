@@ -81,7 +81,7 @@ struct Step {
     t_odom_base: Pose2,
     wheel: Pose2,
     /// By KISS-ICP, if it runs beside.
-    peer: Pose2,
+    peer: Option<Pose2>,
 }
 
 /// What one drive showed.
@@ -107,7 +107,8 @@ pub fn row(home: &str, laps_once: bool) -> Result<[String; 10]> {
     let drive = drive(&world, laps_once)?;
     let [metres, radians] = errors(&drive.steps, |step| step.t_odom_base);
     let [wheel_metres, wheel_radians] = errors(&drive.steps, |step| step.wheel);
-    let [peer_metres, peer_radians] = errors(&drive.steps, |step| step.peer);
+    let [peer_metres, peer_radians] =
+        errors(&drive.steps, |step| step.peer.unwrap_or(Pose2::IDENTITY));
     let of_peer = |cell: String| if drive.peer_ms.is_empty() { String::new() } else { cell };
     let ms = |values: &[f64], share| quantile(values, share);
     Ok([
@@ -152,16 +153,15 @@ fn drive(world: &Arc<World>, laps_once: bool) -> Result<Drive> {
             if let Some(last) = drive.steps.last() {
                 drive.driven_m += last.truth.distance_m(&pose);
             }
-            let by_peer = match &mut peer {
-                Some(peer) => {
-                    let (took_ms, t_first_laser) = peer.update(&scan)?;
-                    drive.peer_ms.push(took_ms);
-                    t_base_laser.compose(&t_first_laser).compose(&t_base_laser.inverse())
-                }
-                None => Pose2::IDENTITY,
-            };
-            let t_odom_base = estimate.t_odom_base;
-            drive.steps.push(Step { truth: pose, t_odom_base, wheel, peer: by_peer });
+            let mut step =
+                Step { truth: pose, t_odom_base: estimate.t_odom_base, wheel, peer: None };
+            if let Some(peer) = &mut peer {
+                let (took_ms, t_first_laser) = peer.update(&scan)?;
+                drive.peer_ms.push(took_ms);
+                let t_first_base = t_first_laser.compose(&t_base_laser.inverse());
+                step.peer = Some(t_base_laser.compose(&t_first_base));
+            }
+            drive.steps.push(step);
         }
         if laps_once {
             break;
@@ -231,7 +231,7 @@ mod tests {
                 truth,
                 t_odom_base: shift.compose(&truth),
                 wheel: Pose2::new(1.01 * truth.x_m, 0.0, 0.0),
-                peer: Pose2::IDENTITY,
+                peer: None,
             })
             .collect();
         let [metres, radians] = errors(&steps, |step| step.t_odom_base);

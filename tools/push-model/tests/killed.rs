@@ -7,34 +7,18 @@
     reason = "a test that cannot set up its programs has failed"
 )]
 
-use std::path::{Path, PathBuf};
+mod over_ssh;
+
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use hil::kills::{self, KillSchedule};
-use hil::sshd::Sshd;
+use over_ssh::{Site, firmware_host, model, push_model, stdout_of};
 use serde_json::Value;
-use tempfile::{TempDir, tempdir};
 
 /// The robot's side must end within this time after `push-model` was killed.
 const END_TIMEOUT: Duration = Duration::from_secs(60);
-
-fn push_model() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_push-model"))
-}
-
-/// The robot's program, which is in the same directory as `push-model`.
-fn firmware_host() -> PathBuf {
-    let program = Path::new(env!("CARGO_BIN_EXE_push-model")).with_file_name("firmware-host");
-    assert!(program.is_file(), "build it first: cargo build -p firmware-host");
-    program
-}
-
-fn stdout_of(command: &mut Command) -> String {
-    let output = command.output().unwrap();
-    assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
 
 /// Enlarges a model beyond the capacity of all pipes, so that most pushes are killed before they have sent it: appends
 /// ModelProto's `doc_string`, field 6, with 2^23 spaces.
@@ -54,44 +38,29 @@ fn is_any_process_using(text: &str) -> bool {
 }
 
 /// A robot behind an ssh server, and signed models on a workstation.
-struct Scene {
-    dir: TempDir,
-    sshd: Sshd,
-    library: String,
-}
+struct Scene(Site);
 
 impl Scene {
-    /// Starts the ssh server and signs two models. Tests that call this are ignored without sshd and ONNX Runtime.
+    /// Starts the ssh server and signs two models.
     fn new() -> Self {
-        let library = std::env::var("ORT_DYLIB_PATH").expect("ORT_DYLIB_PATH is not set");
-        let dir = tempdir().unwrap();
-        let sshd = Sshd::start(&dir.path().join("ssh")).unwrap();
-        let scene = Self { sshd: sshd.expect("sshd cannot run here"), dir, library };
+        let scene = Self(Site::new());
         let limits = "[camera]\nwidth = 160\nheight = 64\n[models]\nmax_p99_ms = 1000\n";
         std::fs::write(scene.path("robot.toml"), limits).unwrap();
-        let key = stdout_of(push_model().args(["keygen", "--no-password"]).arg(scene.path("key")));
-        std::fs::write(scene.path("trusted_keys"), key).unwrap();
         for name in ["guess", "better"] {
-            let model = Path::new(env!("CARGO_MANIFEST_DIR"))
-                .join(format!("../../firmware-host/tests/models/{name}.onnx"));
             let path = scene.path(&format!("{name}.onnx"));
-            std::fs::write(&path, padded(std::fs::read(model).unwrap())).unwrap();
+            std::fs::write(&path, padded(std::fs::read(model(name)).unwrap())).unwrap();
             stdout_of(push_model().arg("sign").arg(path).arg("--key").arg(scene.path("key")));
         }
         scene
     }
 
     fn path(&self, name: &str) -> PathBuf {
-        self.dir.path().join(name)
+        self.0.path(name)
     }
 
     fn push(&self, name: &str) -> Child {
-        let firmware = format!("env ORT_DYLIB_PATH={} {}", self.library, firmware_host().display());
-        let mut push = push_model();
-        push.arg(self.path(name)).arg(format!("127.0.0.1:{}", self.path("store").display()));
-        push.args(self.sshd.options().iter().map(|option| format!("--ssh={option}")))
-            .arg("--program")
-            .arg(firmware);
+        let mut push = self.0.push();
+        push.arg(self.path(name)).arg(self.0.target("store"));
         for (flag, file) in [("--config", "robot.toml"), ("--trusted-keys", "trusted_keys")] {
             push.arg(format!("--gate={flag}={}", self.path(file).display()));
         }
