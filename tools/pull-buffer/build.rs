@@ -4,7 +4,8 @@ const SSHD: &str = "/usr/sbin/sshd";
 
 fn main() {
     println!("cargo::rustc-check-cfg=cfg(has_sshd)");
-    println!("cargo::rerun-if-changed={SSHD}");
+    // The folder, because a package installs a file with its own, older time.
+    println!("cargo::rerun-if-changed=/usr/sbin");
     if std::path::Path::new(SSHD).exists() {
         println!("cargo::rustc-cfg=has_sshd");
     }

@@ -7,7 +7,8 @@ const ONNX_RUNTIME: &str = "ORT_DYLIB_PATH";
 fn main() {
     println!("cargo::rustc-check-cfg=cfg(has_sshd)");
     println!("cargo::rustc-check-cfg=cfg(has_onnx_runtime)");
-    println!("cargo::rerun-if-changed={SSHD}");
+    // The folder, because a package installs a file with its own, older time.
+    println!("cargo::rerun-if-changed=/usr/sbin");
     println!("cargo::rerun-if-env-changed={ONNX_RUNTIME}");
     if std::path::Path::new(SSHD).exists() {
         println!("cargo::rustc-cfg=has_sshd");
