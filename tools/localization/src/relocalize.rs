@@ -59,14 +59,30 @@ pub struct Results {
 impl Results {
     /// A row of the table.
     pub fn row(&self, home: &str) -> [String; 7] {
+        let [errors, seconds] = if self.found == 0 {
+            [const { String::new() }; 2]
+        } else {
+            [
+                format!(
+                    "{:.3} / {:.3}",
+                    quantile(&self.errors_m, 0.5),
+                    quantile(&self.errors_m, 1.0)
+                ),
+                format!(
+                    "{:.1} / {:.1}",
+                    quantile(&self.seconds, 0.5),
+                    quantile(&self.seconds, 0.95)
+                ),
+            ]
+        };
         [
             home.to_owned(),
             self.trials.to_string(),
             self.found.to_string(),
             self.within_3_scans.to_string(),
             self.wrong.to_string(),
-            format!("{:.3} / {:.3}", quantile(&self.errors_m, 0.5), quantile(&self.errors_m, 1.0)),
-            format!("{:.1} / {:.1}", quantile(&self.seconds, 0.5), quantile(&self.seconds, 0.95)),
+            errors,
+            seconds,
         ]
     }
 
