@@ -15,8 +15,11 @@ use super::pose_graph::{Edge, PoseGraph};
 use super::scan_points::Stretch;
 use super::submaps::Submaps;
 
-/// Operations of one update, about: a millisecond of one core.
-const OPERATIONS: u64 = 600_000;
+/// An update begins no further part of a search after this many operations. The last part may take as many again, so that an
+/// update takes about a millisecond of one core.
+const SEARCH_OPERATIONS: u64 = 300_000;
+/// Operations of one step of the pose graph, at most, about.
+const STEP_OPERATIONS: u64 = 600_000;
 /// Steps of the pose graph until it is taken as it is, and steps smaller than this end it: a tenth of a millimetre and of a
 /// milliradian.
 const MAX_STEPS: u32 = 40;
@@ -217,7 +220,7 @@ impl GlobalMap {
     /// Goes on closing loops, for the work of one update.
     pub(crate) fn work(&mut self) {
         let mut operations = 0;
-        while operations < OPERATIONS && self.is_busy() {
+        while operations < SEARCH_OPERATIONS && self.is_busy() {
             operations += self.work_step();
         }
     }
@@ -269,7 +272,7 @@ impl GlobalMap {
     }
 
     fn improve(&mut self, mut solving: Solving) -> u64 {
-        let change = self.graph.step(OPERATIONS);
+        let change = self.graph.step(STEP_OPERATIONS);
         solving.steps += 1;
         self.solving = Some(solving);
         if change < AT_REST || solving.steps >= MAX_STEPS {
@@ -282,7 +285,7 @@ impl GlobalMap {
                 self.revision += 1;
             }
         }
-        OPERATIONS
+        STEP_OPERATIONS
     }
 
     /// Whether there is no submap yet.

@@ -84,6 +84,14 @@ struct Hit {
     range_m: f64,
 }
 
+impl Hit {
+    /// By a square root: `hypot` takes several times as long, and its last digit depends on the platform.
+    fn distance_m(&self, other: &Self) -> f64 {
+        let (x, y) = (self.x - other.x, self.y - other.y);
+        (x * x + y * y).sqrt()
+    }
+}
+
 #[derive(Clone, Copy, Default)]
 struct Sums {
     x: f64,
@@ -194,7 +202,7 @@ impl ScanPoints {
         let spacing = self.geometry.angle_increment_rad.abs() * BREAK_SPACINGS;
         let mut end = from + 1;
         while let (Some(last), Some(next)) = (self.hits.get(end - 1), self.hits.get(end)) {
-            let apart_m = (next.x - last.x).hypot(next.y - last.y);
+            let apart_m = next.distance_m(last);
             if apart_m > BREAK_M.max(spacing * last.range_m.min(next.range_m)) {
                 break;
             }
@@ -211,7 +219,7 @@ impl ScanPoints {
             let mut behind = first + 1;
             while behind < end {
                 let hit = self.hits[behind];
-                if (hit.x - start.x).hypot(hit.y - start.y) >= STRETCH_M {
+                if hit.distance_m(&start) >= STRETCH_M {
                     break;
                 }
                 behind += 1;
@@ -239,7 +247,7 @@ impl ScanPoints {
         if window.len() >= 3 {
             let line = self.line(&window);
             let (dx, dy) = (x - self.t_base_laser.x_m, y - self.t_base_laser.y_m);
-            let incidence = (line.nx * dx + line.ny * dy) / dx.hypot(dy).max(1e-6);
+            let incidence = (line.nx * dx + line.ny * dy) / (dx * dx + dy * dy).sqrt().max(1e-6);
             let limit = (MAX_DEVIATION_M * MAX_DEVIATION_M).max(4.0 * self.range_variance);
             let is_line = line.across < 0.12 * line.along && line.across < limit;
             if is_line && incidence.abs() > MIN_INCIDENCE {

@@ -306,16 +306,22 @@ fn directions(sector: f32) -> u8 {
     (1 << (own as i32).rem_euclid(8)) | (1 << (beside as i32).rem_euclid(8))
 }
 
-/// Each coarser cell is the union of four finer ones: itself and those `reach` further on.
+/// Each coarser cell is the union of four finer ones: itself and those `reach` further on. Cells beyond the last are as the last.
 fn pool(finer: &[u8], coarser: &mut [u8], reach: usize) {
-    for row in 0..SIDE {
-        let upper = &finer[row * SIDE..(row + 1) * SIDE];
+    let mut both = [0; SIDE];
+    for (row, to) in coarser.chunks_exact_mut(SIDE).enumerate() {
         let next = (row + reach).min(SIDE - 1);
+        let upper = &finer[row * SIDE..(row + 1) * SIDE];
         let lower = &finer[next * SIDE..(next + 1) * SIDE];
-        let to = &mut coarser[row * SIDE..(row + 1) * SIDE];
-        for column in 0..SIDE {
-            let right = (column + reach).min(SIDE - 1);
-            to[column] = upper[column] | upper[right] | lower[column] | lower[right];
+        for (both, (upper, lower)) in both.iter_mut().zip(upper.iter().zip(lower)) {
+            *both = upper | lower;
+        }
+        let (inner, edge) = to.split_at_mut(SIDE - reach);
+        for (to, (both, right)) in inner.iter_mut().zip(both.iter().zip(&both[reach..])) {
+            *to = both | right;
+        }
+        for (to, here) in edge.iter_mut().zip(&both[SIDE - reach..]) {
+            *to = here | both[SIDE - 1];
         }
     }
 }

@@ -106,8 +106,8 @@ impl SurfelGrid {
 
     fn cell(&self, x: f32, y: f32) -> Option<usize> {
         let half = (SIDE / 2) as f32;
-        let column = (x / self.cell_m + half).floor();
-        let row = (y / self.cell_m + half).floor();
+        let column = x / self.cell_m + half;
+        let row = y / self.cell_m + half;
         // Room for the neighbours of every cell.
         let inside = 1.0..(SIDE - 1) as f32;
         (inside.contains(&column) && inside.contains(&row))
@@ -159,7 +159,7 @@ impl Surfel {
         if self.has_normal() {
             let nx = self.nx + share * (stretch.nx - self.nx);
             let ny = self.ny + share * (stretch.ny - self.ny);
-            let length = nx.hypot(ny).max(1e-6);
+            let length = (nx * nx + ny * ny).sqrt().max(1e-6);
             self.nx = nx / length;
             self.ny = ny / length;
         }

@@ -108,14 +108,14 @@ impl WheelModel {
 
     fn covariance(&self, reported: &Vector2<f64>) -> Matrix3<f64> {
         let (distance_m, yaw_rad) = (reported.x.abs(), reported.y.abs());
-        let forward = self.distance_noise * distance_m;
         let unlearnt = (reported.transpose() * self.yaw_covariance * reported)[0];
-        // Noise per metre and per radian adds up like that of independent pieces: with the square root of the distance.
-        let yaw = self.drift_noise * self.drift_noise * distance_m * distance_m.max(0.05)
-            + self.yaw_noise * self.yaw_noise * yaw_rad * yaw_rad.max(0.05)
+        // Noise adds up like that of independent pieces: its variance is proportional to the distance, however short an increment is.
+        let yaw = self.drift_noise * self.drift_noise * distance_m
+            + self.yaw_noise * self.yaw_noise * yaw_rad
             + unlearnt;
-        let sideways = LATERAL_SHARE * forward + 0.01 * yaw_rad;
-        let forward_variance = forward * forward + distance_m * distance_m * self.distance_variance;
+        let forward_variance = self.distance_noise * self.distance_noise * distance_m
+            + distance_m * distance_m * self.distance_variance;
+        let sideways = LATERAL_SHARE * self.distance_noise * distance_m + 0.01 * yaw_rad;
         let slack = 1e-8;
         Matrix3::from_diagonal(&nalgebra::Vector3::new(
             forward_variance + 1e-4 * yaw_rad * yaw_rad + slack,

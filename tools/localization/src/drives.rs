@@ -7,18 +7,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use hal::{Clock, LaserScan, Lidar, Pose2, wrap_angle};
-use runtime::localization::{LocalizationConfig, Localizer};
-use simulator::odometry::{Odometer, OdometryNoise};
-use simulator::robot::{SimClock, SimLidar};
-use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
+use hal::{Pose2, wrap_angle};
+use simulator::{OpenOptions, World};
 
 use crate::kiss_icp::KissIcp;
 use crate::relocalize::quantile;
+use crate::rover::{Rover, part_of};
 use crate::tour;
 
-/// Time between two scans.
-const STEP_NS: u64 = 100_000_000;
 /// Scans between two poses of the tour: 0.02 m, or 1.9 degrees.
 const SCANS_OF_STEP: usize = 3;
 /// Ticks of an hour.
@@ -38,41 +34,6 @@ pub const COLUMNS: [&str; 10] = [
     "KISS-ICP: mm / mrad",
     "KISS-ICP: ms p50 / p99",
 ];
-
-/// A robot that is put from pose to pose; its wheels report the motion with the errors of an ordinary base.
-struct Rover {
-    robot: SimulatedRobot,
-    lidar: SimLidar,
-    clock: SimClock,
-    odometer: Odometer,
-    truth: Pose2,
-}
-
-impl Rover {
-    fn new(world: &Arc<World>, seed: u64) -> Result<Self> {
-        let robot =
-            SimulatedRobot::new(world.clone(), RobotOptions { seed, ..RobotOptions::default() })?;
-        let devices = robot.devices();
-        Ok(Self {
-            truth: devices.truth.pose(),
-            robot,
-            lidar: devices.lidar,
-            clock: devices.clock,
-            odometer: Odometer::new(OdometryNoise::ORDINARY, seed),
-        })
-    }
-
-    /// The truth at the next scan, which is written into `scan`.
-    fn drive_to(&mut self, truth: Pose2, scan: &mut LaserScan) -> Result<u64> {
-        self.odometer.advance(&self.truth.inverse().compose(&truth));
-        self.truth = truth;
-        self.robot.carry_to(truth);
-        let now_ns = self.clock.now_ns() + STEP_NS;
-        self.clock.sleep_until_ns(now_ns);
-        self.lidar.poll_scan(scan)?;
-        Ok(now_ns)
-    }
-}
 
 /// Where the robot was, where it believed to be, and where its wheels said.
 #[derive(Clone, Copy)]
@@ -127,24 +88,19 @@ pub fn row(home: &str, laps_once: bool) -> Result<[String; 10]> {
 
 fn drive(world: &Arc<World>, laps_once: bool) -> Result<Drive> {
     let mut rover = Rover::new(world, 1)?;
-    let mount = RobotOptions::default().t_base_laser.translation;
-    let geometry = rover.lidar.geometry();
-    let t_base_laser = Pose2::new(mount.x, mount.y, 0.0);
-    let mut localizer = Localizer::new(&LocalizationConfig::default(), geometry, t_base_laser)?;
-    let mut scan = LaserScan::empty(geometry);
+    let mut localizer = rover.localizer()?;
     // An hour would take it long, and say nothing that a lap does not.
     let mut peer = if laps_once { KissIcp::start()? } else { None };
     let mut drive = Drive::default();
     let mut busy_ms = Vec::new();
     let before_mib = resident_mib();
-    let mut lap = tour::through(world.floor_plan(), rover.truth);
+    let mut lap = tour::through(world.floor_plan(), rover.truth());
     while drive.steps.len() < HOUR {
         for pose in between(&lap) {
-            let now_ns = rover.drive_to(pose, &mut scan)?;
-            let wheel = rover.odometer.pose();
+            rover.move_to(pose)?;
             let is_closing = localizer.is_closing();
             let start = Instant::now();
-            let estimate = localizer.update(&wheel, now_ns, Some((&scan, &wheel)));
+            let estimate = rover.update(&mut localizer);
             let took_ms = start.elapsed().as_secs_f64() * 1e3;
             match is_closing || localizer.is_closing() {
                 true => busy_ms.push(took_ms),
@@ -153,11 +109,16 @@ fn drive(world: &Arc<World>, laps_once: bool) -> Result<Drive> {
             if let Some(last) = drive.steps.last() {
                 drive.driven_m += last.truth.distance_m(&pose);
             }
-            let mut step =
-                Step { truth: pose, t_odom_base: estimate.t_odom_base, wheel, peer: None };
+            let mut step = Step {
+                truth: pose,
+                t_odom_base: estimate.t_odom_base,
+                wheel: rover.wheel(),
+                peer: None,
+            };
             if let Some(peer) = &mut peer {
-                let (took_ms, t_first_laser) = peer.update(&scan)?;
+                let (took_ms, t_first_laser) = peer.update(rover.scan())?;
                 drive.peer_ms.push(took_ms);
+                let t_base_laser = rover.t_base_laser();
                 let t_first_base = t_first_laser.compose(&t_base_laser.inverse());
                 step.peer = Some(t_base_laser.compose(&t_first_base));
             }
@@ -183,9 +144,7 @@ fn between(lap: &[Pose2]) -> Vec<Pose2> {
     for (from, to) in legs {
         let motion = from.inverse().compose(to);
         for part in 1..=SCANS_OF_STEP {
-            let share = part as f64 / SCANS_OF_STEP as f64;
-            let part = [motion.x_m, motion.y_m, wrap_angle(motion.yaw_rad)].map(|of| share * of);
-            poses.push(from.compose(&Pose2::new(part[0], part[1], part[2])));
+            poses.push(from.compose(&part_of(&motion, part as f64 / SCANS_OF_STEP as f64)));
         }
     }
     poses

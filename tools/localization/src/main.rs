@@ -8,6 +8,7 @@ mod drives;
 mod kiss_icp;
 mod relations;
 mod relocalize;
+mod rover;
 mod tour;
 mod trajectory;
 
