@@ -28,8 +28,9 @@ const MIN_OVERLAP: f32 = 0.15;
 /// nothing about the pose: it was taken elsewhere. New ground contradicts nothing, and people stand in front of surfaces.
 const EXAMINED_SHARE: f32 = 0.75;
 const MAX_CONTRADICTED: f32 = 0.3;
-/// A scan that moves the predicted pose by more than this needs the share above. Scans of robots that were pushed had 0.91 and more,
-/// those of robots that were put down elsewhere 0.64 and less (lost_tests).
+/// A scan that is farther than this from the predicted pose, and from where the next keyframe would be, needs the share above. Scans of
+/// robots that were pushed had 0.91 and more, those of robots that were put down elsewhere 0.64 and less (lost_tests). Wheels that
+/// report the wrong direction predict a wrong pose, but the robot is still near its keyframe.
 const JUMP_M: f64 = 0.15;
 const JUMP_RAD: f64 = 0.15;
 /// A scan that fits less may have been aligned with the wrong surfaces: its pose is searched for.
@@ -270,17 +271,28 @@ impl LocalTracker {
     }
 
     /// Whether the scan was probably taken elsewhere: at the pose of its alignment it has seen through surfaces of the keyframes, or
-    /// that pose is far from the predicted one and the scan knows too few of them.
+    /// that pose is a jump, and the scan knows too few of them.
     fn is_contradicted(&self, alignment: &Alignment) -> bool {
         if alignment.fit.share() >= EXAMINED_SHARE {
             return false;
         }
-        let off = difference(&alignment.pose, &self.pose);
-        if off.xy().norm() > JUMP_M || off.z.abs() > JUMP_RAD {
+        if self.is_jump(&alignment.pose) {
             return true;
         }
         let sight = Sight::new(self.points.stretches(), self.points.t_base_laser());
         sight.contradicted(&self.surfaces.fine, &alignment.pose) > MAX_CONTRADICTED
+    }
+
+    /// Whether `pose` is far from the predicted one, and from where the robot may be before the next keyframe.
+    fn is_jump(&self, pose: &Pose2) -> bool {
+        let is_beyond = |from: &Pose2, metres: f64, radians: f64| {
+            let off = difference(pose, from);
+            off.xy().norm() > metres || off.z.abs() > radians
+        };
+        let reach_m = self.keyframe_distance_m + JUMP_M;
+        let reach_rad = self.keyframe_yaw_rad + JUMP_RAD;
+        is_beyond(&self.pose, JUMP_M, JUMP_RAD)
+            && self.keyframes.back().is_none_or(|last| is_beyond(&last.pose, reach_m, reach_rad))
     }
 
     /// The best alignment with the keyframes around the predicted pose, for a prediction that was too wrong to start from.
