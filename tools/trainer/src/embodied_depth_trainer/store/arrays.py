@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import shutil
-from io import BytesIO
+from io import BytesIO, FileIO
 from pathlib import Path
 from typing import Any, Generic, TypeVar, overload
 
@@ -23,6 +23,8 @@ from embodied_depth_trainer.files import process_name
 
 META_FILE = "meta.json"
 SUMS_FILE = "SHA256SUMS"
+# The header of an array has 128 bytes; one that is longer is no array of a shard.
+HEADER_BYTES = 1024
 Value = TypeVar("Value", bound=np.generic)
 
 
@@ -100,10 +102,19 @@ class FolderWriter:
 
 
 class StoredArray(Generic[Value]):
-    """Every `every`th row of one array on the disk. Each access opens the file, so any number of arrays costs no
+    """Every `every`th row of one array of a folder. Each access opens the file, so any number of arrays costs no
     file descriptor and no memory."""
 
-    def __init__(self, file: Path, shape: tuple[int, ...], kind: np.dtype[Value], offset: int, every: int = 1) -> None:
+    def __init__(
+        self,
+        folder: ArrayFolder,
+        file: str,
+        shape: tuple[int, ...],
+        kind: np.dtype[Value],
+        offset: int,
+        every: int = 1,
+    ) -> None:
+        self.folder = folder
         self.file = file
         self.kind = kind
         self.offset = offset
@@ -129,13 +140,17 @@ class StoredArray(Generic[Value]):
         places = np.atleast_1d(np.asarray(index, np.int64)).tolist()
         rows = np.empty((len(places), *self.row_shape), self.kind)
         try:
-            with self.file.open("rb", buffering=0) as stream:
+            with self.folder.open(self.file) as stream:
                 for row, place in zip(rows.reshape(len(places), -1), places, strict=True):
                     begin = self.offset + place * self.every * self.row_bytes
                     if os.preadv(stream.fileno(), [row.view(np.uint8).data], begin) != self.row_bytes:
-                        raise DamagedError(f"{self.file} ends before row {place}; prepare its segment again")
+                        raise DamagedError(
+                            f"{self.folder.path(self.file)} ends before row {place}; prepare its segment again"
+                        )
         except OSError as problem:
-            raise TrainerError(f"cannot read {self.file}: {problem}; check the file and its permissions") from problem
+            raise TrainerError(
+                f"cannot read {self.folder.path(self.file)}: {problem}; check the file and its permissions"
+            ) from problem
         return rows[0] if isinstance(index, int) else rows
 
 
@@ -145,10 +160,32 @@ class ArrayFolder:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         try:
-            self.meta: dict[str, Any] = json.loads((folder / META_FILE).read_text())
-            self.sums = (folder / SUMS_FILE).read_text()
+            self.sums = self.read(SUMS_FILE).decode()
+            self.digests = {name: digest for digest, name in (line.split("  ", 1) for line in self.sums.splitlines())}
+            self.meta: dict[str, Any] = json.loads(self.read(META_FILE))
         except (OSError, ValueError) as problem:
-            raise DamagedError(f"{folder} cannot be read: {problem}") from None
+            raise DamagedError(f"{self} cannot be read: {problem}") from None
+
+    def __str__(self) -> str:
+        return str(self.folder)
+
+    def path(self, name: str) -> str:
+        """What errors call one of its files."""
+        return f"{self}/{name}"
+
+    def open(self, name: str) -> FileIO:
+        """One of its files, unbuffered."""
+        return FileIO(self.folder / name)
+
+    def read(self, name: str) -> bytes:
+        """The content of a small file."""
+        with self.open(name) as stream:
+            return stream.readall()
+
+    def beginning(self, name: str) -> tuple[bytes, int]:
+        """The first bytes of a file, and its length."""
+        with self.open(name) as stream:
+            return stream.read(HEADER_BYTES), os.fstat(stream.fileno()).st_size
 
     @property
     def digest(self) -> str:
@@ -157,37 +194,52 @@ class ArrayFolder:
 
     def array(self, name: str, kind: type[Value], every: int = 1) -> StoredArray[Value]:
         """An array whose file is as long as its header says."""
-        file = self.folder / f"{name}.npy"
         try:
-            with file.open("rb") as stream:
-                np.lib.format.read_magic(stream)
-                shape, _, found = np.lib.format.read_array_header_1_0(stream)
-                offset = stream.tell()
-                size = os.fstat(stream.fileno()).st_size
-        except (OSError, ValueError) as problem:
-            raise DamagedError(f"{file} cannot be read: {problem}") from None
-        expected = offset + int(np.prod(shape)) * found.itemsize
-        if found != np.dtype(kind) or size != expected:
-            raise DamagedError(f"{file} has {size} bytes of {found} instead of {expected} of {np.dtype(kind)}")
-        return StoredArray(file, shape, np.dtype(kind), offset, every)
+            return self._described(name, kind, every, *self.beginning(f"{name}.npy"))
+        except OSError as problem:
+            raise self._unreadable(name, problem) from None
 
     def load(self, name: str, kind: type[Value], every: int = 1) -> NDArray[Value]:
         """An array in memory."""
-        stored = self.array(name, kind)
-        values = np.fromfile(stored.file, stored.kind, offset=stored.offset)
+        try:
+            with self.open(f"{name}.npy") as stream:
+                size = os.fstat(stream.fileno()).st_size
+                stored = self._described(name, kind, 1, stream.read(HEADER_BYTES), size)
+                stream.seek(0)
+                values = np.fromfile(stream, stored.kind, offset=stored.offset)
+        except OSError as problem:
+            raise self._unreadable(name, problem) from None
         return values.reshape(stored.shape)[::every]
+
+    def _described(self, name: str, kind: type[Value], every: int, first: bytes, size: int) -> StoredArray[Value]:
+        """An array, from the first bytes of its file and the length of it."""
+        header = BytesIO(first)
+        try:
+            np.lib.format.read_magic(header)
+            shape, _, found = np.lib.format.read_array_header_1_0(header)
+        except ValueError as problem:
+            raise self._unreadable(name, problem) from None
+        file = f"{name}.npy"
+        expected = header.tell() + int(np.prod(shape)) * found.itemsize
+        if found != np.dtype(kind) or size != expected:
+            raise DamagedError(
+                f"{self.path(file)} has {size} bytes of {found} instead of {expected} of {np.dtype(kind)}"
+            )
+        return StoredArray(self, file, shape, np.dtype(kind), header.tell(), every)
+
+    def _unreadable(self, name: str, problem: Exception) -> DamagedError:
+        return DamagedError(f"{self.path(name)}.npy cannot be read: {problem}")
 
     def check(self) -> None:
         """Compares every file with its digest."""
-        for line in self.sums.splitlines():
-            expected, name = line.split("  ", 1)
+        for name, expected in self.digests.items():
             try:
-                with (self.folder / name).open("rb") as stream:
+                with self.open(name) as stream:
                     found = hashlib.file_digest(stream, "sha256").hexdigest()
             except OSError as problem:
-                raise DamagedError(f"{self.folder / name} cannot be read: {problem}") from None
+                raise DamagedError(f"{self.path(name)} cannot be read: {problem}") from None
             if found != expected:
-                raise DamagedError(f"{self.folder / name} has the digest {found[:16]} instead of {expected[:16]}")
+                raise DamagedError(f"{self.path(name)} has the digest {found[:16]} instead of {expected[:16]}")
 
 
 def digest_in(folder: Path) -> str:

@@ -33,11 +33,11 @@ class StoredSegment:
 
     def open(self) -> tuple[ArrayFolder, ArrayFolder | None]:
         """Its shard and its labels."""
-        shard = ArrayFolder(self.store.shard(self.shard))
+        shard = self.store.open_shard(self.shard)
         if not self.store.recipe["labels"]:
             return shard, None
         # A preparation that was interrupted leaves shards without labels.
-        return shard, ArrayFolder(self.store.labels(self.labels or f"{self.shard}-none"))
+        return shard, self.store.open_labels(self.labels or f"{self.shard}-none")
 
     def listed(self) -> ListedShard:
         """Its line in a list of shards, with the digests that were written."""
@@ -67,7 +67,7 @@ def segments_in(version: DatasetVersion, stores: Sequence[Store]) -> list[Stored
     """The segments of a list, in its order; refuses a list of which something is missing or different."""
     found, problems = [], []
     for wanted in version.shards:
-        store = next((store for store in stores if store.shard(wanted.shard).is_dir()), None)
+        store = next((store for store in stores if store.has_shard(wanted.shard)), None)
         if store is None:
             problems.append(f"{wanted} is missing")
             continue

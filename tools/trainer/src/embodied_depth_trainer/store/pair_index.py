@@ -20,8 +20,9 @@ from embodied_depth_trainer.data.frame_set import FrameSet
 from embodied_depth_trainer.data.held_out import only_held_out, without_held_out
 from embodied_depth_trainer.data.pairs import PairRule, Pairs, by_side, pairs_by_gap, sources_of
 from embodied_depth_trainer.errors import TrainerError
-from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError, FolderWriter
+from embodied_depth_trainer.store.arrays import DamagedError, FolderWriter
 from embodied_depth_trainer.store.dataset import Dataset, Part
+from embodied_depth_trainer.store.store import Store
 
 # Frames that a validation measures. More of one recording are near others and cost time.
 VALIDATION_FRAMES = 32
@@ -77,12 +78,12 @@ def _index(
         return pairs_within(dataset.frames, *bounds, rule)
     given = [asdict(rule), dataset.every, part.digest, [other.digest for other in before]]
     key = hashlib.sha256(json.dumps(given).encode()).hexdigest()
-    folder = part.store.pairs(f"{part.name}-{key[:NAME_DIGITS]}")
+    name = f"{part.name}-{key[:NAME_DIGITS]}"
     begin = bounds[1]
-    kept = _kept(folder)
+    kept = _kept(part.store, name)
     if kept is None:
         kept = pairs_within(dataset.frames, *bounds, rule) - begin
-        _keep(kept, folder)
+        _keep(kept, part.store.pairs(name))
     return kept + begin
 
 
@@ -96,9 +97,9 @@ def pairs_within(frames: FrameSet, reach: int, begin: int, end: int, rule: PairR
     return np.concatenate(found, axis=1)
 
 
-def _kept(folder: Path) -> NDArray[np.int64] | None:
+def _kept(store: Store, name: str) -> NDArray[np.int64] | None:
     try:
-        kept = ArrayFolder(folder)
+        kept = store.open_pairs(name)
         kept.check()
         return kept.load("pairs", np.int32).T.astype(np.int64)
     except DamagedError:

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from embodied_depth_trainer.data.past_frames import PastFrames
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import process_name, write_atomically
+from embodied_depth_trainer.store.arrays import ArrayFolder
 from embodied_depth_trainer.store.manifest import Run, read_run, write_run
 from embodied_depth_trainer.store.recipe import FORMAT_VERSION, Recipe, digest_of
 
@@ -156,6 +157,18 @@ class Store:
 
     def pairs(self, name: str) -> Path:
         return self.folder / "pairs" / name
+
+    def has_shard(self, name: str) -> bool:
+        return self.shard(name).is_dir()
+
+    def open_shard(self, name: str) -> ArrayFolder:
+        return ArrayFolder(self.shard(name))
+
+    def open_labels(self, name: str) -> ArrayFolder:
+        return ArrayFolder(self.labels(name))
+
+    def open_pairs(self, name: str) -> ArrayFolder:
+        return ArrayFolder(self.pairs(name))
 
     @property
     def downloads(self) -> Path:
