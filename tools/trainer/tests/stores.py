@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,25 @@ from embodied_depth_trainer.store.store import Store
 
 from .fake_robot import wheels
 from .recordings import write_segment
+
+TRAINER = Path(__file__).resolve().parents[1]
+
+
+def robot_in(folder: Path) -> Path:
+    """A program that follows the protocol of `firmware-host`; it lists its calls in `firmware-host.calls`."""
+    program = folder / "firmware-host"
+    python = shlex.quote(sys.executable)
+    program.write_text(
+        f"""#!/bin/sh
+if [ "$1" = --version ]; then echo firmware-host 0.0.0; exit; fi
+echo "$@" >> "$0.calls"
+export PYTHONPATH={TRAINER}:{TRAINER / "src"}
+if [ "$1" = perceive ]; then shift; exec {python} -m tests.fake_engine "$@"; fi
+exec {python} -m tests.fake_robot "$@"
+"""
+    )
+    program.chmod(0o755)
+    return program
 
 
 def record(
@@ -56,4 +77,4 @@ def calls(robot: Path) -> int:
     return len(file.read_text().splitlines()) if file.exists() else 0
 
 
-__all__ = ["Report", "calls", "record", "store_of", "tools", "without_coarse"]
+__all__ = ["Report", "calls", "record", "robot_in", "store_of", "tools", "without_coarse"]

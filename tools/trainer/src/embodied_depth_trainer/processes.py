@@ -42,6 +42,16 @@ def rank() -> int:
     return distributed.get_rank() if distributed.is_initialized() else 0
 
 
+def is_same_in_all(digits: str, device: str) -> bool:
+    """Whether the first 15 hexadecimal digits are the same in all processes."""
+    if count() == 1:
+        return True
+    number = int(digits[:15], 16)
+    largest = torch.tensor([number, -number], device=device)
+    distributed.all_reduce(largest, distributed.ReduceOp.MAX)
+    return largest.tolist() == [number, -number]
+
+
 def wait_for_all() -> None:
     if count() > 1:
         distributed.barrier()

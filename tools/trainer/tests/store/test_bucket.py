@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import urllib.request
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,13 +17,13 @@ from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.store import Store
 
 from ..broken_link import Address, broken_link
-from ..object_store import count_requests
+from ..object_store import client, use
 from ..rooms import room
 from ..signing import KITCHEN, THIEF, public, sign, sign_run
 from ..stores import calls, record, store_of, tools, without_coarse
 
 pytest.importorskip("obstore")
-moto = pytest.importorskip("moto.server")
+pytest.importorskip("moto.server")
 
 URL = "s3://fleet/data"
 RECIPE = Recipe("none", labels=False)
@@ -35,50 +32,6 @@ RECIPE = Recipe("none", labels=False)
 @pytest.fixture(scope="module")
 def walk() -> Frames:
     return room(40)
-
-
-@pytest.fixture
-def running() -> Iterator[Any]:
-    """moto's server."""
-    server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    yield server
-    server.stop()
-
-
-@pytest.fixture
-def requests(running: Any) -> Counter[str]:  # noqa: ANN401
-    """Counts the requests that the server answers."""
-    return count_requests(running)
-
-
-@pytest.fixture
-def server(running: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Address]:  # noqa: ANN401
-    """The address of a server of S3 without objects, which the environment names."""
-    address: Address = running.get_host_and_port()
-    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "key")
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
-    monkeypatch.setenv("AWS_REGION", "us-east-1")
-    monkeypatch.setenv("AWS_ALLOW_HTTP", "true")
-    use(address, monkeypatch)
-    # Servers of one process share their objects.
-    request = urllib.request.Request(f"http://{address[0]}:{address[1]}/moto-api/reset", method="POST")
-    urllib.request.urlopen(request).close()
-    client(address).create_bucket(Bucket="fleet")
-    yield address
-    bucket._store.cache_clear()
-
-
-def use(address: Address, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes an address the object store's."""
-    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{address[0]}:{address[1]}")
-    bucket._store.cache_clear()
-
-
-def client(address: Address) -> Any:  # noqa: ANN401
-    import boto3
-
-    return boto3.client("s3", endpoint_url=f"http://{address[0]}:{address[1]}", region_name="us-east-1")
 
 
 def upload(runs: Path, address: Address) -> None:
@@ -212,7 +165,7 @@ def test_an_interrupted_download_leaves_nothing(
 ) -> None:
     record(tmp_path / "runs/monday", walk, [24])
     upload(tmp_path / "runs", server)
-    whole = bucket._piece
+    whole = bucket.read_part
     monkeypatch.setattr(bucket, "PIECE", 20_000)
 
     def interrupted(url: str, listed: StoredObject, begin: int, end: int) -> bytes:
@@ -221,7 +174,7 @@ def test_an_interrupted_download_leaves_nothing(
         return whole(url, listed, begin, end)
 
     with monkeypatch.context() as patch:
-        patch.setattr(bucket, "_piece", interrupted)
+        patch.setattr(bucket, "read_part", interrupted)
         with pytest.raises(KeyboardInterrupt):
             prepared(tmp_path / "store")
     assert list((tmp_path / "store/downloads").iterdir()) == []

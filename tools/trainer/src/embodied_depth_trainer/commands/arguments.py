@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 
 from embodied_depth_trainer import cluster
+from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.networks.registry import DEPTH_NETWORKS
+from embodied_depth_trainer.store.cache import Cache
 from embodied_depth_trainer.store.known_robots import KnownRobots, read_robots
+from embodied_depth_trainer.store.remote import RemoteStore
+from embodied_depth_trainer.store.sources import is_url
+from embodied_depth_trainer.store.store import Store
 
+CACHE_BYTES = 20_000_000_000
 POLICIES = ("random", "heuristic", "forward", "frontier", "inconsistency", "active")
 
 
@@ -23,10 +30,58 @@ def image_size(text: str) -> tuple[int, int]:
     return height, width
 
 
+def source(text: str) -> Path | str:
+    """A directory or a URL."""
+    return text if is_url(text) else Path(text)
+
+
+def byte_count(text: str) -> int:
+    """Parses `20G`: 20 * 10^9."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)([kMGT]?)", text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"`{text}` is not a number of bytes such as 500M, 20G or 1.5T")
+    return int(float(found[1]) * 1000 ** " kMGT".index(found[2] or " "))
+
+
 def add_stores(command: argparse.ArgumentParser) -> None:
     """The stores that `train` and `calibrate` read."""
-    command.add_argument("--store", type=Path, action="append", default=[], help="output of `prepare`; may be repeated")
+    command.add_argument(
+        "--store",
+        type=source,
+        action="append",
+        default=[],
+        metavar="FOLDER|URL",
+        help="output of `prepare`, or the URL of a copy of it in an object store (s3://BUCKET/PREFIX, "
+        "gs://BUCKET/PREFIX, file:///FOLDER), which is read through --cache; may be repeated",
+    )
+    command.add_argument(
+        "--cache",
+        type=Path,
+        metavar="FOLDER",
+        help="where files of a --store in an object store are kept; trainings on one computer may share it",
+    )
+    command.add_argument(
+        "--cache-bytes",
+        type=byte_count,
+        default=CACHE_BYTES,
+        metavar="BYTES",
+        help="most that these files may have in all; those that were not used for longest are deleted [20G]",
+    )
     command.add_argument("--every", type=int, default=1, help="use every Nth frame of each segment [1]")
+
+
+def opened_stores(options: argparse.Namespace) -> list[Store]:
+    """The stores of `add_stores`."""
+    urls = [store for store in options.store if is_url(store)]
+    if urls and options.cache is None:
+        raise TrainerError(
+            f"{urls[0]} is read through a cache on the disk; give its folder, --cache FOLDER, and --cache-bytes if it "
+            "may have more or less than 20 GB"
+        )
+    if not urls:
+        return [Store(folder) for folder in options.store]
+    cache = Cache(options.cache, options.cache_bytes)
+    return [RemoteStore(store, cache) if is_url(store) else Store(store) for store in options.store]
 
 
 def add_dumps(command: argparse.ArgumentParser) -> None:

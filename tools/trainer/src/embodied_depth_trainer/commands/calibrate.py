@@ -7,10 +7,9 @@ from pathlib import Path
 
 import torch
 
-from embodied_depth_trainer.commands.arguments import add_stores
+from embodied_depth_trainer.commands.arguments import add_stores, opened_stores
 from embodied_depth_trainer.export import calibration
 from embodied_depth_trainer.store.dataset import open_dataset
-from embodied_depth_trainer.store.store import Store
 
 
 def add_calibrate(command: argparse.ArgumentParser) -> None:
@@ -21,6 +20,6 @@ def add_calibrate(command: argparse.ArgumentParser) -> None:
 
 def run_calibrate(options: argparse.Namespace) -> None:
     torch.set_num_threads(1)
-    dataset = open_dataset([Store(folder) for folder in options.store], every=options.every)
+    dataset = open_dataset(opened_stores(options), every=options.every)
     found, counts = calibration.calibrate(options.model, dataset.frames, options.out, dataset.summary)
     print(f"{options.out}: from {len(dataset.frames)} frames, {calibration.table(counts, found)}")

@@ -14,6 +14,7 @@ from embodied_depth_trainer.commands.arguments import (
     add_robots,
     image_size,
     known_robots,
+    source,
     with_absolute_paths,
 )
 from embodied_depth_trainer.data.past_frames import GAP, PastFrames
@@ -23,14 +24,8 @@ from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.parts import Part
 from embodied_depth_trainer.store.prepare import Report, Tools, prepare, prepare_part, prune, remove_damaged
 from embodied_depth_trainer.store.recipe import Coarse, Recipe, engine_of
-from embodied_depth_trainer.store.sources import is_url
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.studies.robot import find_firmware_host
-
-
-def source(text: str) -> Path | str:
-    """A directory or a URL."""
-    return text if is_url(text) else Path(text)
 
 
 def part(text: str) -> Part:

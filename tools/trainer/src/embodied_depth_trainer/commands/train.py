@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from embodied_depth_trainer.commands.arguments import (
     add_stores,
     add_threads,
     image_size,
+    opened_stores,
     with_absolute_paths,
 )
 from embodied_depth_trainer.data.buffer import select
@@ -35,6 +37,7 @@ from embodied_depth_trainer.losses.recipes import recipe
 from embodied_depth_trainer.losses.reprojection import LossOptions
 from embodied_depth_trainer.store.dataset import open_dataset, record_version
 from embodied_depth_trainer.store.pair_index import find_pairs
+from embodied_depth_trainer.store.remote import RemoteStore
 from embodied_depth_trainer.store.store import Store, past_of
 from embodied_depth_trainer.store.version import DATASET_FILE, read_version
 from embodied_depth_trainer.training.initial import chosen, given_depth
@@ -232,13 +235,33 @@ def ranks_of(options: argparse.Namespace) -> Ranks:
     return Ranks(count, options.on, options.threads, options.device, options.out.absolute())
 
 
+def warn_of_repeated_downloads(stores: Sequence[Store]) -> None:
+    """Says so if the cache cannot hold what a training reads."""
+    remote = [store for store in stores if isinstance(store, RemoteStore)]
+    size = sum(store.bytes for store in remote)
+    if remote and size > remote[0].cache.limit and processes.rank() == 0:
+        limit = remote[0].cache.limit
+        print(
+            f"the cache holds {limit / size:.0%} of the shards ({limit:,} of {size:,} bytes). Batches are drawn from "
+            f"all shards at random, so {1 - limit / size:.0%} of the files that a batch reads are downloaded again, as "
+            f"a whole. That is slow; --cache-bytes {size} holds all of them",
+            file=sys.stderr,
+        )
+
+
 def run_rank(options: argparse.Namespace, device: str) -> None:
     """Trains in this process, alone or together with the others that `processes.start` finds."""
     torch.set_num_threads(options.threads)
     device = processes.start(device)
-    stores = [Store(folder) for folder in options.store]
+    stores = opened_stores(options)
     only = read_version(options.only) if options.only is not None else None
     dataset = open_dataset(stores, options.dataset, options.size, options.every, only=only)
+    if not processes.is_same_in_all(dataset.version.name, device):
+        raise TrainerError(
+            f"the processes of this training read different datasets, this one {dataset.version.name}: the store was "
+            "changed while they opened it, or an object is damaged for one of them; start the training again"
+        )
+    warn_of_repeated_downloads(stores)
     frames = dataset.frames
     if options.lidar_weight > 0 and not dataset.has_lidar:
         raise TrainerError(

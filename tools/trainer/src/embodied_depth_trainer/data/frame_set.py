@@ -95,8 +95,9 @@ class Concatenated(Generic[Value]):
         if outside.any():
             raise IndexError(f"frame {chosen[outside][0]} does not exist; there are {len(self)}")
         place = np.searchsorted(self.first, chosen, side="right") - 1
-        rows = [self.parts[part][int(frame - self.first[part])] for part, frame in zip(place, chosen, strict=True)]
-        return rows[0] if isinstance(index, int) else np.stack(rows)
+        # Part by part, because a part may have to be downloaded first.
+        rows = {at: self.parts[place[at]][int(chosen[at] - self.first[place[at]])] for at in np.argsort(place)}
+        return rows[0] if isinstance(index, int) else np.stack([rows[at] for at in range(len(chosen))])
 
 
 @dataclass(frozen=True)

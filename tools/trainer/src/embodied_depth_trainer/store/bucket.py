@@ -1,14 +1,16 @@
-"""Recorded segments in an object store: `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX` or `az://CONTAINER/PREFIX`.
+"""Objects of an object store: `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX`, `az://CONTAINER/PREFIX`, or `file:///FOLDER`.
 
-The names are those that `pull-buffer` writes: `RUN/recording_NNNN.mcap` below the prefix, at any depth. Credentials and
-addresses come from the environment, as for `pull-buffer`: both use the same library (`object_store`).
+Credentials and addresses come from the environment, as for `pull-buffer`: both use the same library (`object_store`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,8 +27,26 @@ PIECE = 8 << 20
 TRIES = 3
 
 
+# How long a training waits for an object store that does not answer, and the pauses between its attempts.
+PATIENCE_S = 600.0
+FIRST_PAUSE_S = 0.5
+LONGEST_PAUSE_S = 5.0
+
+
 class ReplacedError(TrainerError):
     """An object is not the one that was listed."""
+
+
+class UnreachableError(TrainerError):
+    """The object store does not answer, or refuses the request."""
+
+    def __init__(self, what: str, problem: Exception) -> None:
+        # The library adds the fields of its errors after the first line.
+        self.reason = f"cannot read {what}: {next(iter(str(problem).splitlines()), type(problem).__name__)}"
+        super().__init__(
+            f"{self.reason}; check address and credentials (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, "
+            "GOOGLE_APPLICATION_CREDENTIALS ...), and run the same command again: what is done is kept"
+        )
 
 
 @dataclass(frozen=True)
@@ -55,8 +75,37 @@ def list_objects(url: str) -> Iterator[StoredObject]:
 def download(url: str, listed: StoredObject, file: Path) -> None:
     """Writes the version of the object that was listed to a file."""
     with file.open("wb") as stream:
-        for begin in range(0, listed.bytes, PIECE):
-            stream.write(_piece(url, listed, begin, min(begin + PIECE, listed.bytes)))
+        for begin, end in _pieces(listed):
+            stream.write(read_part(url, listed, begin, end))
+
+
+def read_object(url: str, listed: StoredObject) -> bytes:
+    """The version of a small object that was listed."""
+    return b"".join(read_part(url, listed, begin, end) for begin, end in _pieces(listed))
+
+
+def patient_pieces(url: str, listed: StoredObject) -> Iterator[bytes]:
+    """The version of the object that was listed, piece by piece, with pauses while the object store does not answer: a
+    training of days outlasts its restart."""
+    return (_patiently(partial(read_part, url, listed, begin, end)) for begin, end in _pieces(listed))
+
+
+def _pieces(listed: StoredObject) -> Iterator[tuple[int, int]]:
+    return ((begin, min(begin + PIECE, listed.bytes)) for begin in range(0, listed.bytes, PIECE))
+
+
+def _patiently(read: Callable[[], bytes]) -> bytes:
+    end, pause = time.monotonic() + PATIENCE_S, FIRST_PAUSE_S
+    while True:
+        try:
+            return read()
+        except UnreachableError as problem:
+            # The interpreter waits for threads before it ends.
+            if time.monotonic() > end or not threading.main_thread().is_alive():
+                raise
+            print(f"{problem.reason}; trying again", file=sys.stderr)
+        time.sleep(pause)
+        pause = min(2 * pause, LONGEST_PAUSE_S)
 
 
 def delete_objects(url: str, objects: Sequence[StoredObject]) -> None:
@@ -67,7 +116,11 @@ def delete_objects(url: str, objects: Sequence[StoredObject]) -> None:
         raise _unreadable(url, problem) from None
 
 
-def _piece(url: str, listed: StoredObject, begin: int, end: int) -> bytes:
+def read_part(url: str, listed: StoredObject, begin: int, end: int) -> bytes:
+    """Bytes of the version of the object that was listed."""
+    if begin == end:
+        # No range of HTTP is empty.
+        return b""
     from obstore.exceptions import PreconditionError
 
     for attempt in range(1, TRIES + 1):
@@ -99,11 +152,4 @@ def _store(url: str) -> ObjectStore:
 
 
 def _unreadable(what: str, problem: Exception) -> TrainerError:
-    if isinstance(problem, TrainerError):
-        return problem
-    # The library adds the fields of its errors after the first line.
-    reason = next(iter(str(problem).splitlines()), type(problem).__name__)
-    return TrainerError(
-        f"cannot read {what}: {reason}; check address and credentials (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, "
-        "GOOGLE_APPLICATION_CREDENTIALS ...), and run the same command again: what is done is kept"
-    )
+    return problem if isinstance(problem, TrainerError) else UnreachableError(what, problem)

@@ -20,6 +20,7 @@ from embodied_depth_trainer.data.frames import Intrinsics
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import ArrayFolder, DamagedError
 from embodied_depth_trainer.store.listing import StoredSegment, refuse, segments_in, segments_of
+from embodied_depth_trainer.store.remote import RemoteStore
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.store.version import (
     DATASET_FILE,
@@ -30,6 +31,9 @@ from embodied_depth_trainer.store.version import (
     remember,
     write_version,
 )
+
+# Shards in an object store that are opened at a time: they wait for answers and not for the processor.
+REQUESTS = 16
 
 
 @dataclass(frozen=True)
@@ -176,7 +180,8 @@ def _only_shards(version: DatasetVersion, stores: Sequence[Store], every: int, c
 
 def _opened(segments: Sequence[StoredSegment], every: int, checked: set[str]) -> list[Part | DamagedError]:
     """The shards, in their order, or what is wrong with them."""
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    is_remote = any(isinstance(segment.store, RemoteStore) for segment in segments)
+    with ThreadPoolExecutor(REQUESTS if is_remote else os.cpu_count()) as threads:
         opened = threads.map(partial(_part, every, checked), segments)
         return list(tqdm(opened, total=len(segments), unit="shard", desc="checking", disable=None))
 

@@ -138,8 +138,8 @@ def _in_directory(source: Path) -> Iterator[RecordedRun]:
 
 
 def _in_bucket(url: str) -> Iterator[RecordedRun]:
-    """The runs of a listing, which has the objects of a folder one after the other. A store that lists in another order
-    gives a run in several parts."""
+    """The runs that `pull-buffer` uploaded, `RUN/recording_NNNN.mcap` at any depth. A listing has the objects of a
+    folder one after the other. A store that lists in another order gives a run in several parts."""
     url = url.rstrip("/")
     recorded = (RemoteSegment(url, listed) for listed in list_objects(url))
     wanted = (segment for segment in recorded if re.fullmatch(SEGMENT_NAME, segment.name))
