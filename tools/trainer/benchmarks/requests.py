@@ -18,15 +18,9 @@ from moto.server import ThreadedMotoServer
 from embodied_depth_trainer.store.prepare import Tools, prepare
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.store import Store
-from tests.object_store import count_requests
+from tests.object_store import ENVIRONMENT, count_requests
 
 RECIPE = Recipe("none", labels=False)
-ENVIRONMENT = {
-    "AWS_ACCESS_KEY_ID": "key",
-    "AWS_SECRET_ACCESS_KEY": "secret",
-    "AWS_REGION": "us-east-1",
-    "AWS_ALLOW_HTTP": "true",
-}
 
 
 def upload(run: Path, copies: int, address: str) -> tuple[int, int]:

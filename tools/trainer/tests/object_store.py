@@ -16,14 +16,18 @@ from .broken_link import Address
 
 Application = Callable[[dict[str, Any], Any], Iterable[bytes]]
 BUCKET = "fleet"
+ENVIRONMENT = {
+    "AWS_ACCESS_KEY_ID": "key",
+    "AWS_SECRET_ACCESS_KEY": "secret",
+    "AWS_REGION": "us-east-1",
+    "AWS_ALLOW_HTTP": "true",
+}
 
 
 def began(address: Address, monkeypatch: pytest.MonkeyPatch) -> None:
     """Makes a server the environment's object store, with one empty bucket."""
-    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "key")
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
-    monkeypatch.setenv("AWS_REGION", "us-east-1")
-    monkeypatch.setenv("AWS_ALLOW_HTTP", "true")
+    for name, value in ENVIRONMENT.items():
+        monkeypatch.setenv(name, value)
     use(address, monkeypatch)
     # Servers of one process share their objects.
     request = urllib.request.Request(f"http://{address[0]}:{address[1]}/moto-api/reset", method="POST")
