@@ -144,9 +144,15 @@ impl ToneCurve {
     }
 
     #[inline(always)]
+    pub fn encode_colour(&self, light: &[f32; 3]) -> [u8; 3] {
+        [self.encode(light[0]), self.encode(light[1]), self.encode(light[2])]
+    }
+
+    #[inline(always)]
     pub fn encode(&self, light: f32) -> u8 {
         let scale = (CURVE_STEPS - 1) as f32 / CURVE_MAX_LIGHT.sqrt();
-        let step = (light.max(0.0).sqrt() * scale + 0.5) as usize;
+        // Signed integers, because their conversions are single instructions.
+        let step = (light.max(0.0).sqrt() * scale + 0.5) as i32 as usize;
         self.bytes[step.min(CURVE_STEPS - 1)]
     }
 }

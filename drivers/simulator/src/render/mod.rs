@@ -6,6 +6,7 @@
 
 mod ambient;
 mod bvh;
+mod facet;
 mod light;
 mod surface;
 #[cfg(test)]
@@ -21,6 +22,7 @@ use crate::body::Capsule;
 use crate::scene::{LidarResponse, Material, Scene};
 pub use ambient::{AmbientOptions, bake_ambient};
 use bvh::{Bvh, Corners, V3};
+use facet::Facet;
 use light::ToneCurve;
 pub use light::{Lighting, SunPatches, Window};
 use surface::Surface;
@@ -122,19 +124,8 @@ impl Renderer {
                 let middle = (band * SIZE) as f64 + SIZE as f64 / 2.0;
                 let above = (middle / height as f64).min(1.0);
                 let view = view(camera, &t_world_camera(above));
-                for left in (0..width).step_by(SIZE) {
-                    let place = (left, band * SIZE);
-                    let block = tile::nearest_surfaces(
-                        &self.bvh,
-                        &view,
-                        place,
-                        stack,
-                        |triangle, point| self.is_hole(triangle, &(view.origin + point)),
-                    );
-                    let mut out = Out { left, width, rgb, depth };
-                    self.shade(&view, light, place, &block, &mut out);
-                    self.draw_bodies(&view, light, place, bodies, &mut out);
-                }
+                let mut out = Out { left: 0, width, rgb, depth };
+                render_band(self, &view, light, bodies, band * SIZE, stack, &mut out);
             });
     }
 
@@ -262,6 +253,24 @@ impl Renderer {
         texture.alpha(surface.uv(&(point - surface.origin))) < cutoff
     }
 
+    #[inline(always)]
+    fn render_block(
+        &self,
+        view: &View,
+        light: &Lighting,
+        bodies: &[Capsule],
+        place: (usize, usize),
+        stack: &mut Vec<(u32, f32)>,
+        out: &mut Out<'_>,
+    ) {
+        let block = tile::nearest_surfaces(&self.bvh, view, place, stack, |triangle, point| {
+            self.is_hole(triangle, &(view.origin + point))
+        });
+        self.shade(view, light, place, &block, out);
+        self.draw_bodies(view, light, place, bodies, out);
+    }
+
+    #[inline(always)]
     fn shade(
         &self,
         view: &View,
@@ -270,8 +279,8 @@ impl Renderer {
         block: &Block,
         out: &mut Out<'_>,
     ) {
-        let background = light.background.map(|b| self.tone.encode(b * light.exposure));
-        let mut last = (NOTHING, [0.0; 3]);
+        let background = self.tone.encode_colour(&light.background.map(|b| b * light.exposure));
+        let mut last: Option<(u32, Facet<'_>)> = None;
         for row in 0..SIZE.min(out.rows()) {
             for column in 0..SIZE.min(out.width - left) {
                 let triangle = block.triangle[row][column];
@@ -280,60 +289,23 @@ impl Renderer {
                     continue;
                 }
                 let direction = view.direction((left + column) as f32, (top + row) as f32);
-                let surface = &self.surfaces[triangle as usize];
-                let facing = surface.normal.dot(&direction);
-                if triangle != last.0 {
-                    let normal = if facing > 0.0 { -surface.normal } else { surface.normal };
-                    last = (triangle, light.on_surface(&normal));
-                }
+                let facet = match &last {
+                    Some((of, facet)) if *of == triangle => facet,
+                    _ => &last.insert((triangle, self.facet(triangle, view, light, &direction))).1,
+                };
                 let depth = 1.0 / block.inverse_depth[row][column];
-                let colour = self.colour(view, light, surface, (direction, depth, facing), &last.1);
-                let [r, g, b] = colour;
-                out.put(
-                    row,
-                    column,
-                    [self.tone.encode(r), self.tone.encode(g), self.tone.encode(b)],
-                    depth,
-                );
+                let colour = facet.colour(view, light, &direction, depth);
+                out.put(row, column, self.tone.encode_colour(&colour), depth);
             }
         }
     }
 
-    /// Linear light that leaves a surface. `direction` has a depth of 1 m and `facing` is its dot
-    /// product with the surface's normal.
+    /// Prepares a triangle for the pixels in which it is seen, of which the first has this direction.
     #[inline(always)]
-    fn colour(
-        &self,
-        view: &View,
-        light: &Lighting,
-        surface: &Surface,
-        (direction, depth, facing): (V3, f32, f32),
-        on_surface: &[f32; 3],
-    ) -> [f32; 3] {
+    fn facet(&self, triangle: u32, view: &View, light: &Lighting, direction: &V3) -> Facet<'_> {
+        let surface = &self.surfaces[triangle as usize];
         let material = &self.materials[surface.material as usize];
-        let offset = direction * depth + (view.origin - surface.origin);
-        let mut albedo = material.base_color;
-        if let Some(texture) = self.texture(material) {
-            // Motion of the point on the surface from this pixel to the next (Igehy, "Tracing ray
-            // differentials", 1999).
-            let step =
-                |pixel: &V3| (pixel - direction * (surface.normal.dot(pixel) / facing)) * depth;
-            let footprint = Footprint {
-                uv: surface.uv(&offset),
-                per_column: surface.uv_change(&step(&view.column)),
-                per_row: surface.uv_change(&step(&view.row)),
-            };
-            let texel = texture.sample(&footprint);
-            albedo = [albedo[0] * texel[0], albedo[1] * texel[1], albedo[2] * texel[2]];
-        }
-        let ambient = surface.ambient(&offset);
-        let sun = light.sun.as_ref().map_or(0.0, |sun| {
-            let normal = if facing > 0.0 { -surface.normal } else { surface.normal };
-            sun.at(&(surface.origin + offset), &normal) * light.exposure
-        });
-        [0, 1, 2].map(|c| {
-            albedo[c] * (on_surface[c] * ambient + sun) + material.emissive[c] * light.exposure
-        })
+        Facet::new(surface, material, self.texture(material), view, light, direction)
     }
 
     fn draw_bodies(
@@ -366,6 +338,22 @@ impl Renderer {
                 }
             }
         }
+    }
+}
+
+/// Renders a row of blocks, whose first row of pixels is `top`.
+fn render_band(
+    renderer: &Renderer,
+    view: &View,
+    light: &Lighting,
+    bodies: &[Capsule],
+    top: usize,
+    stack: &mut Vec<(u32, f32)>,
+    out: &mut Out<'_>,
+) {
+    for left in (0..out.width).step_by(SIZE) {
+        out.left = left;
+        renderer.render_block(view, light, bodies, (left, top), stack, out);
     }
 }
 

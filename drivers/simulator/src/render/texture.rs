@@ -70,7 +70,7 @@ impl MipChain {
     }
 
     /// Filtered colour: trilinear across the footprint, with several samples along its longer axis.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, footprint: &Footprint) -> Rgba {
         let size = [self.levels[0].width as i32 as f32, self.levels[0].height as i32 as f32];
         let column = texel_length(&footprint.per_column, size);
@@ -81,18 +81,19 @@ impl MipChain {
             (footprint.per_row, row, column)
         };
         if long <= 1.0 {
-            return self.levels[0].bilinear(wrap(footprint.uv[0]), wrap(footprint.uv[1])).linear(1);
+            return Blend::One(&self.levels[0]).sample(footprint.uv);
         }
-        let taps = ((long / short.max(1.0)).min(MAX_TAPS) + 0.5) as usize;
+        let taps = ((long / short.max(1.0)).min(MAX_TAPS) + 0.5) as i32;
         if taps < 2 {
-            return self.trilinear(footprint.uv, long);
+            return self.blend(long).sample(footprint.uv);
         }
         let share = 1.0 / taps as f32;
+        let blend = self.blend((long * share).max(1.0));
         let mut sum = [0.0; 4];
         for tap in 0..taps {
             let along = (tap as f32 + 0.5) * share - 0.5;
             let uv = [footprint.uv[0] + along * axis[0], footprint.uv[1] + along * axis[1]];
-            let colour = self.trilinear(uv, (long * share).max(1.0));
+            let colour = blend.sample(uv);
             for channel in 0..4 {
                 sum[channel] += colour[channel] * share;
             }
@@ -100,34 +101,56 @@ impl MipChain {
         sum
     }
 
-    /// Trilinear sample; `texels` is the size of the pixel in texels, at least 1.
-    #[inline]
-    fn trilinear(&self, uv: [f32; 2], texels: f32) -> Rgba {
+    /// The levels for a pixel whose size is `texels`, at least 1.
+    #[inline(always)]
+    fn blend(&self, texels: f32) -> Blend<'_> {
         // The exponent is the level and the mantissa the position between levels: a piecewise
         // linear log2, which is smooth enough.
         let bits = texels.to_bits();
         let level = (bits >> 23) as usize - 127;
         // The blend goes from 0 at a quarter of the interval to 1 at three quarters, so that half
         // of all samples need only one level.
-        const WHOLE: u64 = 1 << Mix::LEVEL_BITS;
-        let fraction = u64::from((bits & 0x007f_ffff) >> (22 - Mix::LEVEL_BITS))
-            .saturating_sub(WHOLE / 2)
-            .min(WHOLE);
+        let fraction = ((bits & 0x007f_ffff) >> (22 - Mix::LEVEL_BITS))
+            .saturating_sub(Blend::WHOLE / 2)
+            .min(Blend::WHOLE);
+        let Some([fine, coarse]) = self.levels.get(level..level + 2) else {
+            return Blend::One(&self.levels[self.levels.len() - 1]);
+        };
+        match fraction {
+            0 => Blend::One(fine),
+            Blend::WHOLE => Blend::One(coarse),
+            _ => Blend::Two { fine, coarse, fraction },
+        }
+    }
+}
+
+/// The mip levels that a pixel is sampled from: one, or two neighbours.
+enum Blend<'a> {
+    One(&'a Level),
+    /// `fraction` is the weight of the coarse one, in units of 1 / [`Blend::WHOLE`].
+    Two {
+        fine: &'a Level,
+        coarse: &'a Level,
+        fraction: u32,
+    },
+}
+
+impl Blend<'_> {
+    const WHOLE: u32 = 1 << Mix::LEVEL_BITS;
+
+    #[inline(always)]
+    fn sample(&self, uv: [f32; 2]) -> Rgba {
         let u = wrap(uv[0]);
         let v = wrap(uv[1]);
-        let Some([fine, coarse]) = self.levels.get(level..level + 2) else {
-            return self.levels[self.levels.len() - 1].bilinear(u, v).linear(1);
-        };
-        if fraction == 0 {
-            return fine.bilinear(u, v).linear(1);
+        match self {
+            Self::One(level) => level.bilinear(u, v).linear(1),
+            Self::Two { fine, coarse, fraction } => {
+                let mut mix = Mix::default();
+                mix.add(&fine.bilinear(u, v), Self::WHOLE - fraction);
+                mix.add(&coarse.bilinear(u, v), *fraction);
+                mix.linear(Self::WHOLE)
+            }
         }
-        if fraction == WHOLE {
-            return coarse.bilinear(u, v).linear(1);
-        }
-        let mut mix = Mix::default();
-        mix.add(&fine.bilinear(u, v), WHOLE - fraction);
-        mix.add(&coarse.bilinear(u, v), fraction);
-        mix.linear(WHOLE)
     }
 }
 
@@ -135,13 +158,10 @@ fn texel_length(d: &[f32; 2], size: [f32; 2]) -> f32 {
     ((d[0] * size[0]) * (d[0] * size[0]) + (d[1] * size[1]) * (d[1] * size[1])).sqrt()
 }
 
-/// A weighted sum of texels, two channels of 32 bits in one register: plain integer instructions
-/// filter four channels with two multiplications per texel.
+/// A weighted sum of texels, four channels in one vector register. It never overflows; arithmetic
+/// that wraps keeps the checks of unoptimised builds out of these loops.
 #[derive(Debug, Default, Clone, Copy)]
-struct Mix {
-    red_blue: u64,
-    green_alpha: u64,
-}
+struct Mix([u32; 4]);
 
 impl Mix {
     /// Resolution of the position between two texels, bits. Eight bits of colour, twice eight of
@@ -151,35 +171,30 @@ impl Mix {
     const LEVEL_BITS: u32 = 7;
 
     #[inline(always)]
-    fn add_texel(&mut self, texel: u32, weight: u64) {
-        const CHANNELS: u64 = 0x0000_00ff_0000_00ff;
-        let red_blue = u64::from(texel & 0x00ff_00ff);
-        let green_alpha = u64::from((texel >> 8) & 0x00ff_00ff);
-        self.red_blue += ((red_blue | (red_blue << 16)) & CHANNELS) * weight;
-        self.green_alpha += ((green_alpha | (green_alpha << 16)) & CHANNELS) * weight;
+    fn add_texel(&mut self, texel: [u8; 4], weight: u32) {
+        for (sum, value) in self.0.iter_mut().zip(texel) {
+            *sum = sum.wrapping_add(u32::from(value).wrapping_mul(weight));
+        }
     }
 
     #[inline(always)]
-    fn add(&mut self, other: &Self, weight: u64) {
-        self.red_blue += other.red_blue * weight;
-        self.green_alpha += other.green_alpha * weight;
+    fn add(&mut self, other: &Self, weight: u32) {
+        for (sum, value) in self.0.iter_mut().zip(other.0) {
+            *sum = sum.wrapping_add(value.wrapping_mul(weight));
+        }
     }
 
     /// Linear light of a sum of bilinear mixes whose total weight is `weight`.
     #[inline(always)]
-    fn linear(&self, weight: u64) -> Rgba {
+    fn linear(&self, weight: u32) -> Rgba {
         let scale = 1.0 / (255 * (weight << (2 * Self::PLACE_BITS))) as f32;
-        let r = channel(self.red_blue, scale);
-        let g = channel(self.green_alpha, scale);
-        let b = channel(self.red_blue >> 32, scale);
-        let a = channel(self.green_alpha >> 32, scale);
+        let mut color = [0.0; 4];
+        for (value, sum) in color.iter_mut().zip(self.0) {
+            *value = sum as i32 as f32 * scale;
+        }
+        let [r, g, b, a] = color;
         [r * r, g * g, b * b, a]
     }
-}
-
-#[inline(always)]
-fn channel(lane: u64, scale: f32) -> f32 {
-    lane as i32 as f32 * scale
 }
 
 /// One mip level, stored in tiles of 4 x 4 texels. A tile is one cache line, so neighbours in any
@@ -190,14 +205,14 @@ struct Level {
     height: u32,
     /// Number of texels from one row of tiles to the next.
     tile_row: u32,
-    /// R, G, B, A from the lowest byte.
-    texels: Vec<u32>,
+    /// R, G, B, A.
+    texels: Vec<[u8; 4]>,
 }
 
 impl Level {
     fn new(width: usize, height: usize, linear: &[Rgba]) -> Self {
         let tile_row = width.div_ceil(4) * 16;
-        let texels = vec![0; tile_row * height.div_ceil(4)];
+        let texels = vec![[0; 4]; tile_row * height.div_ceil(4)];
         let mut level =
             Self { width: width as u32, height: height as u32, tile_row: tile_row as u32, texels };
         for (y, row) in linear.chunks_exact(width).enumerate() {
@@ -224,7 +239,7 @@ impl Level {
         let lower = self.row_start(y1);
         let left = column_start(x0);
         let right = column_start(x1);
-        const WHOLE: u64 = 1 << Mix::PLACE_BITS;
+        const WHOLE: u32 = 1 << Mix::PLACE_BITS;
         let mut mix = Mix::default();
         mix.add_texel(self.texels[(upper + left) as usize], (WHOLE - fx) * (WHOLE - fy));
         mix.add_texel(self.texels[(upper + right) as usize], fx * (WHOLE - fy));
@@ -242,14 +257,14 @@ fn column_start(x: u32) -> u32 {
 /// The two texels beside coordinate `s` in [0, 1] and the weight of the second, in units of
 /// 2^-[`Mix::PLACE_BITS`].
 #[inline(always)]
-fn neighbours(s: f32, size: u32) -> (u32, u32, u64) {
+fn neighbours(s: f32, size: u32) -> (u32, u32, u32) {
     // The offset of half a texel makes truncation equal to floor. Signed integers, because their
     // conversions are single instructions.
     let place = ((s * size as i32 as f32 + 0.5) * (1 << Mix::PLACE_BITS) as f32) as i32 as u32;
     let whole = (place >> Mix::PLACE_BITS).min(size);
     let left = if whole == 0 { size - 1 } else { whole - 1 };
     let right = if whole == size { 0 } else { whole };
-    (left, right, u64::from(place & ((1 << Mix::PLACE_BITS) - 1)))
+    (left, right, place & ((1 << Mix::PLACE_BITS) - 1))
 }
 
 /// The fractional part, in [0, 1], without a call to `floor`, for which plain x86-64 has no
@@ -261,13 +276,13 @@ fn wrap(s: f32) -> f32 {
     fraction.clamp(0.0, 1.0) // beyond the range of i32 it is not a fraction
 }
 
-fn encode(colour: &Rgba) -> u32 {
-    u32::from_le_bytes([
+fn encode(colour: &Rgba) -> [u8; 4] {
+    [
         unit_to_byte(colour[0].sqrt()),
         unit_to_byte(colour[1].sqrt()),
         unit_to_byte(colour[2].sqrt()),
         unit_to_byte(colour[3]),
-    ])
+    ]
 }
 
 fn unit_to_byte(value: f32) -> u8 {

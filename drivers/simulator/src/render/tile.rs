@@ -44,9 +44,26 @@ pub(super) struct Block {
     pub triangle: [[u32; SIZE]; SIZE],
 }
 
+impl Block {
+    /// The inverse depth of the farthest pixel. Columns are reduced side by side in vector registers.
+    #[inline(always)]
+    fn least_inverse_depth(&self) -> f32 {
+        let least = |a: f32, b: f32| if b < a { b } else { a };
+        let [first, rows @ ..] = &self.inverse_depth;
+        let mut columns = *first;
+        for row in rows {
+            for column in 0..SIZE {
+                columns[column] = least(columns[column], row[column]);
+            }
+        }
+        columns.into_iter().fold(f32::INFINITY, least)
+    }
+}
+
 /// Finds the nearest triangle of every pixel of the block whose first pixel is (`left`, `top`).
 /// `is_hole` is called for triangles that may have holes, with the triangle and the point relative
 /// to the view's origin.
+#[inline(always)]
 pub(super) fn nearest_surfaces(
     bvh: &Bvh,
     view: &View,
@@ -82,9 +99,7 @@ pub(super) fn nearest_surfaces(
                     planes.draw(triangle, &mut block);
                 }
             }
-            let farthest =
-                block.inverse_depth.iter().flatten().fold(f32::INFINITY, |a, &b| a.min(b));
-            limit = 1.0 / farthest;
+            limit = 1.0 / block.least_inverse_depth();
             continue;
         }
         let a = node.first;
@@ -228,8 +243,8 @@ impl Planes {
         }
         // The sign makes the edge functions non-negative inside for both windings.
         let sign = if distance < 0.0 { -1.0 } else { 1.0 };
-        let edges = [(&b, &c), (&c, &a), (&a, &b)]
-            .map(|(p, q)| Affine::new(&(edge(p, q) * sign), view, first));
+        let function = |p: &V3, q: &V3| Affine::new(&(edge(p, q) * sign), view, first);
+        let edges = [function(&b, &c), function(&c, &a), function(&a, &b)];
         if edges[0].max() < 0.0 || edges[1].max() < 0.0 || edges[2].max() < 0.0 {
             return None;
         }
