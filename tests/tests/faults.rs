@@ -355,11 +355,10 @@ fn before_glass_and_black_lacquer_the_robot_is_slow_and_stops_at_most_once_in_a_
     }
 }
 
-/// The robot stops seldom, at most once in five of six drives, and at most `most_stops` times in all of them.
+/// The robot stops seldom, at most once in most of the drives, and at most `most_stops` times in all of them.
 fn assert_seldom_stops(drives: &[(f64, usize)], most_stops: usize) {
     let stops: usize = drives.iter().map(|(_, stops)| stops).sum();
-    let more_than_once = drives.iter().filter(|(_, stops)| *stops > 1).count();
-    assert!(more_than_once <= drives.len().div_ceil(6), "{drives:?}");
+    assert!(drives.iter().filter(|(_, stops)| *stops > 1).count() <= 1, "{drives:?}");
     assert!(stops <= most_stops, "{stops} stops");
     assert!(drives.iter().all(|(slow, _)| *slow < 0.15), "{drives:?}");
 }
@@ -372,9 +371,9 @@ fn before_glass_a_robot_whose_camera_looks_down_stops_at_most_twice_in_four_minu
     assert_seldom_stops(&interference_of(4, &coarse), 2);
 }
 
-/// A map of dense depth leads along other glass. Where a path leads along it is chance: the robot stopped 4 times in the first six
-/// of these drives, twice in the next six, and never in nine more.
+/// A map of dense depth leads along other glass. In twelve minutes the robot stopped once; with
+/// earlier builds, whose paths differ by chance, four and six times.
 #[test]
-fn before_glass_a_robot_that_maps_dense_depth_stops_at_most_six_times_in_twelve_minutes() {
-    assert_seldom_stops(&interference_of(12, &Sensors::default()), 6);
+fn before_glass_a_robot_that_maps_dense_depth_stops_at_most_three_times_in_six_minutes() {
+    assert_seldom_stops(&interference_of(6, &Sensors::default()), 3);
 }
