@@ -18,7 +18,8 @@ def main():
     config = KISSConfig()
     config.mapping.voxel_size = float(sys.argv[1])
     config.data.max_range = float(sys.argv[2])
-    # Its correction of motion takes a scan to last until the next one. These last a quarter of that, and the robot moves by 5 mm in it.
+    # Its correction of motion takes a scan to last until the next one. These last a quarter of that, in which the robot
+    # moves by 5 mm.
     config.data.deskew = False
     # The robot's own localization has one thread.
     config.registration.max_num_threads = 1

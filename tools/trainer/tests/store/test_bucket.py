@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
+from threading import Event
 
 import pytest
 
@@ -11,7 +14,7 @@ from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store import bucket, sources
-from embodied_depth_trainer.store.bucket import StoredObject, download
+from embodied_depth_trainer.store.bucket import StoredObject, UnreachableError, download, patience, patient_pieces
 from embodied_depth_trainer.store.prepare import Report, Tools, prepare
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.store import Store
@@ -275,3 +278,23 @@ def test_a_run_is_erased_with_its_objects_and_markers(
     assert all(key.startswith("data/kitchen/tuesday/") for key in left)
     assert [run.source for run in store.runs.values()] == [f"{URL}/kitchen/tuesday"]
     assert f"{URL}/kitchen/monday/recording_0000.mcap.blake3" in capsys.readouterr().out
+
+
+def test_a_download_that_waits_for_the_object_store_ends_when_the_training_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun = Event()
+
+    def unreachable(*_: object) -> bytes:
+        begun.set()
+        raise UnreachableError("s3://fleet/data", OSError("connection refused"))
+
+    monkeypatch.setattr(bucket, "read_part", unreachable)
+    listed = StoredObject("rgb.npy", 10, 0, None)
+    with ThreadPoolExecutor(1) as threads:
+        with suppress(KeyboardInterrupt), patience():
+            waiting = threads.submit(list, patient_pieces("s3://fleet/data", listed))
+            begun.wait()
+            raise KeyboardInterrupt
+        with pytest.raises(UnreachableError):
+            waiting.result(60)

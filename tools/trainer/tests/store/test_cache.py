@@ -139,6 +139,33 @@ def test_what_a_killed_process_has_half_downloaded_is_neither_used_nor_kept(tmp_
         assert not partial.exists()
 
 
+def test_a_large_file_that_a_killed_process_has_half_downloaded_is_downloaded_again(tmp_path: Path) -> None:
+    cache = Cache(tmp_path, 100)
+    data = content(1, 60)
+    (cache.files / f"{digest_of(data)}.partial").write_bytes(bytes(60))
+    assert read(cache, data) == data
+    assert bytes_in(cache) == 60
+
+
+def test_a_number_of_bytes_that_is_wrong_or_was_half_written_lets_nothing_in_beyond_the_limit(tmp_path: Path) -> None:
+    cache = Cache(tmp_path, 100)
+    for number, text in enumerate((b"", b"8", b"x\n", b"1000000\n")):
+        (tmp_path / "lock").write_bytes(text)
+        assert read(cache, content(number)) == content(number)
+        assert bytes_in(cache) <= 100
+
+
+@pytest.mark.parametrize("digest", ["../outside", "/etc/hostname", "A" * 64, ""])
+def test_what_is_no_digest_names_no_file(tmp_path: Path, digest: str) -> None:
+    outside = tmp_path / "outside"
+    outside.write_bytes(b"of another program")
+    cache = Cache(tmp_path / "cache", 100)
+    for use in (cache.check, cache.find):
+        with pytest.raises(ValueError, match="no SHA-256"):
+            use(digest)
+    assert outside.read_bytes() == b"of another program"
+
+
 def test_a_download_with_another_digest_or_one_that_fails_leaves_nothing(tmp_path: Path) -> None:
     cache = Cache(tmp_path, 100)
     with pytest.raises(DigestError, match=digest_of(content(2))):

@@ -35,6 +35,7 @@ from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.losses.recipes import recipe
 from embodied_depth_trainer.losses.reprojection import LossOptions
+from embodied_depth_trainer.store.bucket import patience
 from embodied_depth_trainer.store.dataset import open_dataset, record_version
 from embodied_depth_trainer.store.pair_index import find_pairs
 from embodied_depth_trainer.store.remote import RemoteStore
@@ -243,12 +244,13 @@ def warn_of_repeated_downloads(stores: Sequence[Store]) -> None:
         limit = remote[0].cache.limit
         print(
             f"the cache holds {limit / size:.0%} of the shards ({limit:,} of {size:,} bytes). Batches are drawn from "
-            f"all shards at random, so {1 - limit / size:.0%} of the files that a batch reads are downloaded again, as "
-            f"a whole. That is slow; --cache-bytes {size} holds all of them",
+            f"all shards at random, so up to {1 - limit / size:.0%} of the files that a batch reads are downloaded "
+            f"again, as a whole. That is slow; --cache-bytes {size} holds all of them",
             file=sys.stderr,
         )
 
 
+@patience()
 def run_rank(options: argparse.Namespace, device: str) -> None:
     """Trains in this process, alone or together with the others that `processes.start` finds."""
     torch.set_num_threads(options.threads)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import process_name
+from embodied_depth_trainer.store.cache import is_sha256
 
 META_FILE = "meta.json"
 SUMS_FILE = "SHA256SUMS"
@@ -154,6 +155,14 @@ class StoredArray(Generic[Value]):
         return rows[0] if isinstance(index, int) else rows
 
 
+def _digest_of(line: str) -> tuple[str, str]:
+    """The name of a file and its digest. Both name files, so nothing else may be in their place."""
+    digest, name = line.split("  ", 1)
+    if not is_sha256(digest) or "/" in name:
+        raise ValueError(f"{SUMS_FILE} has the line {line!r}, which is no SHA-256 of a file in the folder")
+    return name, digest
+
+
 class ArrayFolder:
     """A folder that `FolderWriter` wrote."""
 
@@ -161,7 +170,7 @@ class ArrayFolder:
         self.folder = folder
         try:
             self.sums = self.read(SUMS_FILE).decode()
-            self.digests = {name: digest for digest, name in (line.split("  ", 1) for line in self.sums.splitlines())}
+            self.digests = dict(_digest_of(line) for line in self.sums.splitlines())
             self.meta: dict[str, Any] = json.loads(self.read(META_FILE))
         except (OSError, ValueError) as problem:
             raise DamagedError(f"{self} cannot be read: {problem}") from None

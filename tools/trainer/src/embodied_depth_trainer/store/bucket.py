@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -31,6 +32,10 @@ TRIES = 3
 PATIENCE_S = 600.0
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 5.0
+
+
+# Set when the program ends: it waits for its threads, which are not to wait for an object store.
+ENDING = threading.Event()
 
 
 class ReplacedError(TrainerError):
@@ -90,6 +95,17 @@ def patient_pieces(url: str, listed: StoredObject) -> Iterator[bytes]:
     return (_patiently(partial(read_part, url, listed, begin, end)) for begin, end in _pieces(listed))
 
 
+@contextmanager
+def patience() -> Iterator[None]:
+    """The pauses of downloads end when the context ends by an error."""
+    ENDING.clear()
+    try:
+        yield
+    except BaseException:
+        ENDING.set()
+        raise
+
+
 def _pieces(listed: StoredObject) -> Iterator[tuple[int, int]]:
     return ((begin, min(begin + PIECE, listed.bytes)) for begin in range(0, listed.bytes, PIECE))
 
@@ -100,11 +116,10 @@ def _patiently(read: Callable[[], bytes]) -> bytes:
         try:
             return read()
         except UnreachableError as problem:
-            # The interpreter waits for threads before it ends.
-            if time.monotonic() > end or not threading.main_thread().is_alive():
+            if time.monotonic() > end or ENDING.is_set():
                 raise
             print(f"{problem.reason}; trying again", file=sys.stderr)
-        time.sleep(pause)
+        ENDING.wait(pause)
         pause = min(2 * pause, LONGEST_PAUSE_S)
 
 

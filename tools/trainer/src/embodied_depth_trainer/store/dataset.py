@@ -165,9 +165,11 @@ def open_shard(folder: ArrayFolder, labels: ArrayFolder | None = None, every: in
 def _all_shards(stores: Sequence[Store], every: int, checked: set[str]) -> list[Part]:
     """The shards of the stores that are what was written."""
     opened = _opened([segment for store in stores for segment in segments_of(store)], every, checked)
+    is_remote = any(isinstance(store, RemoteStore) for store in stores)
+    advice = "copy its files there again" if is_remote else "`embodied-depth prepare --check` makes it again"
     for problem in opened:
         if isinstance(problem, DamagedError):
-            print(f"left out: {problem}; `embodied-depth prepare --check` makes it again", file=sys.stderr)
+            print(f"left out: {problem}; {advice}", file=sys.stderr)
     return [part for part in opened if isinstance(part, Part)]
 
 
