@@ -250,7 +250,7 @@ mod tests {
             covered += usize::from((found.parameters[1] - 2.0).abs() < 2.0 * found.sigma(1));
         }
         // 95.4 % of 300 are 286. The gradients as they are, without the jackknife, cover 269.
-        assert!(covered >= 275, "{covered} of 300");
+        assert!((275..=298).contains(&covered), "{covered} of 300");
     }
 
     #[test]

@@ -10,7 +10,7 @@ use runtime::localization::{LocalizationConfig, LocalizationError, Localizer};
 use super::drive::Drive;
 use super::laser_parameters::LaserParameters;
 
-/// Standard deviation of the wheels as a share of their motion: the largest that localization takes.
+/// Standard deviation of the wheels after a metre or a radian: the largest that localization takes.
 const WHEEL_NOISE: f64 = 0.5;
 
 /// A scan is left out when its standard deviation in any direction is this many times the median of all scans.

@@ -28,7 +28,7 @@ pub const CONFIG: &str = "\
 /// The drive that models are judged by. It shows enough places that a model which is as good as another one is shown to be so; 11 to 13
 /// places of drives with the policy `active` were too few.
 const DRIVE: [&str; 8] =
-    ["--scene", "builtin:house?seed=1", "--policy", "frontier", "--frames", "4500", "--seed", "3"];
+    ["--scene", "builtin:house?seed=1", "--policy", "frontier", "--frames", "3000", "--seed", "1"];
 
 pub fn binary() -> PathBuf {
     assert_cmd::cargo::cargo_bin!("firmware-host").to_owned()

@@ -33,9 +33,9 @@ hal::settings! {
         keyframe_yaw_deg: f64 = 12.0, in 2.0..=45.0, unit "deg";
         /// Standard deviation of the wheels' distance after one metre, in metres; it grows with the square root of the distance.
         wheel_distance_noise: f64 = 0.02, in 0.0001..=0.5, source "1 % for a good base, doubled for carpets and sills";
-        /// Standard deviation of the wheels' yaw after one radian, in radians; it grows with the square root of the rotation.
+        /// Standard deviation of the wheels' yaw in one increment of a radian, in radians. A radian in small increments has a third of it.
         wheel_yaw_noise: f64 = 0.04, in 0.0001..=0.5, source "2 % for a good base, doubled for carpets and sills";
-        /// Standard deviation of the wheels' yaw after one metre, from bumps and unequal wheels; it grows with the square root of the distance.
+        /// Standard deviation of the wheels' yaw in one increment of a metre (bumps, unequal wheels). A metre in small increments has a third of it.
         wheel_drift_rad_per_m: f64 = 0.02, in 0.0001..=0.5, unit "rad/m";
         /// Standard deviation of one range. The scanner's own figure is usually lower; walls and furniture are not quite flat.
         range_noise_m: f64 = 0.02, in 0.001..=0.2, unit "m", source "UTM-30LX data sheet: 10 to 30 mm";

@@ -15,8 +15,8 @@ use super::pose_graph::{Edge, PoseGraph};
 use super::scan_points::Stretch;
 use super::submaps::Submaps;
 
-/// An update begins no further part of a search after this many operations. The last part may take as many again, so that an
-/// update takes about a millisecond of one core.
+/// An update begins no further part of a search after this many operations. The last part may be a whole step of the pose graph, or a
+/// piece of path with its first headings: 99 % of the updates take less than 1.3 ms for it (docs/localization.md).
 const SEARCH_OPERATIONS: u64 = 300_000;
 /// Operations of one step of the pose graph, at most, about.
 const STEP_OPERATIONS: u64 = 600_000;

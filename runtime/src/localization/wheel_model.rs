@@ -22,10 +22,11 @@ const CHANGE_PER_METRE: f64 = 0.001;
 const LEG: f64 = 0.3;
 /// A leg that contradicts the wheels by more than this many standard deviations is slip, not bias.
 const MAX_SURPRISE: f64 = 4.0;
-/// Metres or radians over which the noise of the yaw is alike, so that shorter increments are more exact than their square root says.
-/// The yaw of real wheels is: without this, the poses along the Intel log drift more until loops are closed (docs/localization.md).
+/// Increments of the yaw shorter than this, in metres or radians, add up like independent ones, with a tenth of the variance that the
+/// configured standard deviation of a whole metre or radian has. The yaw of real wheels is better over short distances: with all of
+/// that variance, the poses along the Intel log drift more until loops are closed (docs/localization.md).
 const YAW_PIECE: f64 = 0.1;
-/// Standard deviation of sideways motion, as a share of the one along the heading.
+/// Standard deviation of sideways motion, as a share of the distance times its noise: wheels slide little sideways.
 const LATERAL_SHARE: f64 = 0.3;
 
 /// The learnt numbers and how certain they are.
@@ -112,10 +113,10 @@ impl WheelModel {
     fn covariance(&self, reported: &Vector2<f64>) -> Matrix3<f64> {
         let (distance_m, yaw_rad) = (reported.x.abs(), reported.y.abs());
         let unlearnt = (reported.transpose() * self.yaw_covariance * reported)[0];
-        // Noise adds up like that of independent pieces: its variance is proportional to the distance.
         let yaw = self.drift_noise * self.drift_noise * distance_m * distance_m.max(YAW_PIECE)
             + self.yaw_noise * self.yaw_noise * yaw_rad * yaw_rad.max(YAW_PIECE)
             + unlearnt;
+        // Noise adds up like that of independent pieces: its variance is proportional to the distance.
         let forward_variance = self.distance_noise * self.distance_noise * distance_m
             + distance_m * distance_m * self.distance_variance;
         let sideways = LATERAL_SHARE * self.distance_noise * distance_m + 0.01 * yaw_rad;

@@ -342,8 +342,8 @@ impl Renderer {
     }
 }
 
-/// Renders a row of blocks, whose first row of pixels is `top`. Everything that it calls for every
-/// pixel or triangle is inlined, so that it is compiled for AVX2 too. Without fused
+/// Renders a row of blocks, whose first row of pixels is `top`. What it calls for every pixel is
+/// inlined where that is faster, so that it is compiled for AVX2 too. Without fused
 /// multiplications, because the images would be others.
 #[multiversion(targets("x86_64+avx2"))]
 fn render_band<'a>(

@@ -205,7 +205,8 @@ def test_a_training_goes_on_when_the_object_store_was_unreachable(
         running.start()
 
     monkeypatch.setattr(remote, "patient_pieces", stopping)
-    monkeypatch.setattr(bucket, "time", SimpleNamespace(monotonic=lambda: 0.0, sleep=restart))
+    monkeypatch.setattr(bucket, "time", SimpleNamespace(monotonic=lambda: 0.0))
+    monkeypatch.setattr(bucket, "ENDING", SimpleNamespace(is_set=lambda: False, wait=restart))
     assert same(learnt(opened(copied, tmp_path / "cache", two_shards), tmp_path / "out"), expected)
     assert stopped.is_set()
     assert re.search(r"cannot read s3://\S+/coarse\.npy: .*; trying again", capsys.readouterr().err)
