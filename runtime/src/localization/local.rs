@@ -28,11 +28,13 @@ const MIN_OVERLAP: f32 = 0.15;
 /// nothing about the pose: it was taken elsewhere. New ground contradicts nothing, and people stand in front of surfaces.
 const EXAMINED_SHARE: f32 = 0.75;
 const MAX_CONTRADICTED: f32 = 0.3;
-/// A scan that is farther than this from the predicted pose, and from where the next keyframe would be, needs the share above. Scans of
-/// robots that were pushed had 0.91 and more, those of robots that were put down elsewhere 0.64 and less (lost_tests). Wheels that
-/// report the wrong direction predict a wrong pose, but the robot is still near its keyframe.
+/// A scan that moves the predicted pose by more than this needs the share above. Scans of robots that were pushed had 0.91 and more,
+/// those of robots that were put down elsewhere 0.64 and less (lost_tests).
 const JUMP_M: f64 = 0.15;
 const JUMP_RAD: f64 = 0.15;
+/// And by more than the wheels report in this time, seconds: wheels that report the wrong direction predict a pose that is off by twice the
+/// motion between two scans, of which four or more come in a second.
+const REVERSED_S: f64 = 0.5;
 /// A scan that fits less may have been aligned with the wrong surfaces: its pose is searched for.
 const SEARCH_INLIERS: f32 = 0.75;
 /// The search replaces an alignment that has this much fewer stretches on known surfaces.
@@ -283,16 +285,12 @@ impl LocalTracker {
         sight.contradicted(&self.surfaces.fine, &alignment.pose) > MAX_CONTRADICTED
     }
 
-    /// Whether `pose` is far from the predicted one, and from where the robot may be before the next keyframe.
+    /// Whether `pose` is far from the predicted one.
     fn is_jump(&self, pose: &Pose2) -> bool {
-        let is_beyond = |from: &Pose2, metres: f64, radians: f64| {
-            let off = difference(pose, from);
-            off.xy().norm() > metres || off.z.abs() > radians
-        };
-        let reach_m = self.keyframe_distance_m + JUMP_M;
-        let reach_rad = self.keyframe_yaw_rad + JUMP_RAD;
-        is_beyond(&self.pose, JUMP_M, JUMP_RAD)
-            && self.keyframes.back().is_none_or(|last| is_beyond(&last.pose, reach_m, reach_rad))
+        let off = difference(pose, &self.pose);
+        let Velocity { x_mps, y_mps, yaw_radps } = self.velocity;
+        off.xy().norm() > JUMP_M + REVERSED_S * x_mps.hypot(y_mps)
+            || off.z.abs() > JUMP_RAD + REVERSED_S * yaw_radps.abs()
     }
 
     /// The best alignment with the keyframes around the predicted pose, for a prediction that was too wrong to start from.
