@@ -132,9 +132,9 @@ fn found_among_moved_furniture(home: &str, seed: u64, places: fn(&[Pose2]) -> Ve
 #[test]
 fn a_robot_in_the_saved_map_of_a_home_whose_furniture_was_moved_finds_itself_and_nowhere_wrongly() {
     let three = |free: &[Pose2]| vec![free[0], free[free.len() / 2], elsewhere(free)];
-    let eight = |free: &[Pose2]| (0..8).map(|part| free[free.len() * part / 8]).collect();
+    let later = |free: &[Pose2]| (4..8).map(|part| free[free.len() * part / 8]).collect();
     assert_eq!(found_among_moved_furniture("apartment?seed=1", 4, three), 3);
-    assert!(found_among_moved_furniture("apartment?seed=2", 5, eight) >= 2);
+    assert!(found_among_moved_furniture("apartment?seed=2", 5, later) >= 2);
     // Nowhere wrongly.
     found_among_moved_furniture("house?seed=1", 4, three);
 }
