@@ -68,11 +68,10 @@ fn an_install_killed_at_any_moment_leaves_the_old_model_or_the_new_one() {
         "--store",
         &store,
     ];
-    // The model is so much better than the current one that the gate accepts it on any frames.
     args.extend(["--trusted-keys", &keys, "--normal-priority", "--again"]);
     let old = State { models: vec![resident.clone()], trial_starts: None };
     let recordings = robot.recordings();
-    args.extend(["--recordings", &recordings, "--frames", "40"]);
+    args.extend(["--recordings", &recordings, "--frames", "120"]);
     let began = Instant::now();
     assert!(start(&args).wait().unwrap().success());
     let mut moments = KillSchedule::new(5, began.elapsed());
