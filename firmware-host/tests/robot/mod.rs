@@ -152,7 +152,7 @@ impl Robot {
     }
 
     /// What the robot has seen in two homes. Robots of one configuration share these drives, which take a minute: the first
-    /// that needs them makes them, and the other tests of this build wait for it.
+    /// that needs them makes them, and the other tests of this build wait for them.
     pub fn recordings(&self) -> String {
         let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("drives");
         std::fs::create_dir_all(&all).unwrap();

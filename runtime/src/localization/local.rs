@@ -32,8 +32,8 @@ const MAX_CONTRADICTED: f32 = 0.3;
 /// those of robots that were put down elsewhere 0.64 and less (lost_tests).
 const JUMP_M: f64 = 0.15;
 const JUMP_RAD: f64 = 0.15;
-/// And by more than the wheels report in this time, seconds: wheels that report the wrong direction predict a pose that is off by twice the
-/// motion between two scans, of which four or more come in a second.
+/// The two bounds grow by what the wheels report in this time, seconds: wheels that report the wrong direction predict a pose that is off
+/// by twice the motion between two scans, of which four or more come in a second.
 const REVERSED_S: f64 = 0.5;
 /// A scan that fits less may have been aligned with the wrong surfaces: its pose is searched for.
 const SEARCH_INLIERS: f32 = 0.75;
@@ -285,7 +285,7 @@ impl LocalTracker {
         sight.contradicted(&self.surfaces.fine, &alignment.pose) > MAX_CONTRADICTED
     }
 
-    /// Whether `pose` is far from the predicted one.
+    /// Whether `pose` is farther from the predicted one than a push, or wheels that report the wrong direction, explain.
     fn is_jump(&self, pose: &Pose2) -> bool {
         let off = difference(pose, &self.pose);
         let Velocity { x_mps, y_mps, yaw_radps } = self.velocity;

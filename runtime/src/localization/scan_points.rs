@@ -87,7 +87,8 @@ struct Hit {
 impl Hit {
     /// By a square root: `hypot` takes several times as long, and its last digit depends on the platform.
     fn distance_m(&self, other: &Self) -> f64 {
-        let (x, y) = (self.x - other.x, self.y - other.y);
+        let x = self.x - other.x;
+        let y = self.y - other.y;
         (x * x + y * y).sqrt()
     }
 }

@@ -132,7 +132,7 @@ class Cache:
         pause = PAUSE_S
         while True:
             with locked(self.folder / "lock") as lock:
-                used: int | None = _number_in(lock)
+                used = _number_in(lock)
                 if used is None or used + size > self.limit:
                     used = self._freed(size)
                 if used is not None:
