@@ -1,6 +1,6 @@
 //! The hardware abstraction layer: the boundary between devices and the code that decides.
 //!
-//! Four traits ([`Camera`], [`Lidar`], [`Base`], [`Clock`]) and the plain data that they exchange.
+//! Five traits ([`Camera`], [`Lidar`], [`Base`], [`Imu`], [`Clock`]) and the plain data that they exchange.
 //! Drivers, the simulator and the fault injectors implement the traits; perception, mapping,
 //! planning and safety are written against them. `examples/fake_devices.rs` is the smallest
 //! complete implementation, to copy when porting a new device.
@@ -9,7 +9,7 @@
 //!
 //! * SI units. The name of a number ends with its unit: `_m`, `_rad`, `_ns`, `_mps`, `_radps`.
 //! * Right-handed frames as in REP-103 and REP-105: `map`, `odom`, `base_link` (x forward, y left,
-//!   z up), `laser` (as `base_link`), `camera_optical` (x right, y down, z forward).
+//!   z up), `laser` (as `base_link`), `imu`, `camera_optical` (x right, y down, z forward).
 //! * A pose written `t_a_b` maps points of frame b into frame a, so `t_a_c = t_a_b * t_b_c`.
 //! * Depth is z-depth (distance along the optical axis), in metres; `0.0` means "no depth here".
 //! * Pixel centres are at integer coordinates.
@@ -39,6 +39,7 @@ pub mod clock;
 pub mod depth;
 pub mod error;
 pub mod image;
+pub mod imu;
 pub mod lidar;
 pub mod mount;
 pub mod pose;
@@ -52,6 +53,7 @@ pub use clock::{Clock, VirtualClock};
 pub use depth::DepthMap;
 pub use error::{Error, ErrorKind, ErrorType};
 pub use image::{ImageError, ImageView, PixelFormat};
+pub use imu::{Imu, ImuMount, ImuSample};
 pub use lidar::{LaserScan, Lidar, Range, ScanGeometry};
 pub use mount::{CameraMount, LidarMount, camera_mount};
 pub use pose::{Pose2, Pose3, wrap_angle};
