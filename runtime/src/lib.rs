@@ -7,6 +7,7 @@ pub mod calibration_watch;
 pub mod event;
 pub mod exploration;
 pub mod imaging;
+pub mod imu;
 pub mod latency;
 pub mod lidar_agreement;
 pub mod localization;

@@ -4,6 +4,7 @@ use hal::{DepthMap, ImageView, LaserScan, Pose2, Twist2, WheelFeedback};
 use serde::{Deserialize, Serialize};
 
 use crate::event::{Event, SafetyEvent};
+use crate::imu::ImuInput;
 use crate::localization::LostReason;
 use crate::operator::OperatorOrder;
 use crate::outside_pose::OutsideInput;
@@ -23,6 +24,8 @@ pub struct TickInput<'a> {
     pub scan: Option<&'a LaserScan>,
     /// `t_odom_base` when the scanner was halfway through `scan`; that of `wheel` where there is no scan.
     pub scan_odom: Pose2,
+    /// Rotation and tilt by the inertial measurement unit, if the robot has one and its samples are new enough.
+    pub imu: Option<ImuInput>,
     /// The newest pose that another program has sent since the previous tick.
     pub outside: Option<OutsideInput>,
     /// A new frame, if one came: RGB8 in the size that perception works on.

@@ -117,6 +117,8 @@ hal::settings! {
         floor_tilt_deg: f64 = FLOOR_TILT_DEG, in 0.0..=5.0, unit "degrees", source "DIN 18202: 4 mm on 1 m";
         /// Whether the base has three cliff sensors at its front edge, ahead and 45 degrees to both sides.
         cliff_sensors: bool = false;
+        /// Whether the robot has an inertial measurement unit: a BMI160 at 100 Hz, level in the middle of the robot.
+        imu: bool = false;
         /// Standard deviation of a LiDAR range up to 10 m; three times this beyond.
         lidar_noise_m: f64 = LaserModel::UTM_30LX.noise_near_m, in 0.0..=0.2, unit "m", source "UTM-30LX";
         /// Fraction of the LiDAR beams that hit something and return nothing.

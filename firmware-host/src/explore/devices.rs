@@ -45,6 +45,10 @@ pub fn simulated_devices(
     });
     let camera = FaultyCamera::new(devices.camera, faults);
     let mut devices = VirtualDevices::new(FaultyClock::new(time, faults), camera);
+    if config.simulator.imu {
+        let imu = simulated.devices().imu;
+        devices = devices.with_imu(imu);
+    }
     if maps_truth {
         let world = simulated.devices().truth;
         devices = devices.with_ground_truth(move |depth| {

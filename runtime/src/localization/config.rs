@@ -37,6 +37,8 @@ hal::settings! {
         wheel_yaw_noise: f64 = 0.04, in 0.0001..=0.5, source "2 % for a good base, doubled for carpets and sills";
         /// Standard deviation of the wheels' yaw in one increment of a metre (bumps, unequal wheels). A metre in small increments has a third of it.
         wheel_drift_rad_per_m: f64 = 0.02, in 0.0001..=0.5, unit "rad/m";
+        /// Standard deviation of the angle that a gyroscope has measured after one second, beside its bias and scale, which are learnt.
+        gyro_noise: f64 = 0.0005, in 0.000001..=0.1, unit "rad", source "four times a BMI160's 0.007 deg/s per root hertz, for vibrations";
         /// Standard deviation of one range. The scanner's own figure is usually lower; walls and furniture are not quite flat.
         range_noise_m: f64 = 0.02, in 0.001..=0.2, unit "m", source "UTM-30LX data sheet: 10 to 30 mm";
         /// Ranges beyond this are not used: the gaps between their beams are too wide to know a surface by.

@@ -1,6 +1,6 @@
-//! The local pose: wheels predict, every scan corrects, in a frame that never jumps.
+//! The local pose: wheels and gyroscope predict, every scan corrects, in a frame that never jumps.
 //!
-//! A Kalman filter over the pose. The prediction's covariance grows with the motion that the wheels report; the scan's
+//! A Kalman filter over the pose. The prediction's covariance grows with the motion that wheels and gyroscope report; the scan's
 //! information comes from its match against recent keyframes. Directions that a scan says nothing about (along a corridor) keep the
 //! prediction of the wheels.
 
@@ -14,6 +14,7 @@ use crate::snapshot::{SnapshotError, State, remembers};
 
 use super::LocalizationConfig;
 use super::driven_leg::{DrivenLeg, ScanVariances};
+use super::gyro_model::{GyroAngle, GyroModel, join};
 use super::matcher::{Alignment, Prior, ScanFit, Surfaces, align};
 use super::scan_points::{ScanPoints, Stretch, Velocity};
 use super::search_grid::{Search, SearchGrid, Window};
@@ -86,7 +87,10 @@ pub(crate) struct LocalTracker {
     search_grid: SearchGrid,
     keyframes: VecDeque<Keyframe>,
     wheel: WheelModel,
+    gyro: GyroModel,
     pose: Pose2,
+    /// The last corrected pose, moved on by the wheels alone.
+    pose_by_wheels: Pose2,
     /// Of x, y (in the axes of `odom`) and yaw, against the keyframes.
     covariance: Matrix3<f64>,
     last_wheel: Option<Pose2>,
@@ -96,6 +100,7 @@ pub(crate) struct LocalTracker {
     leg: Option<DrivenLeg>,
 }
 
+// Not the gyroscope's part, which a saved map does not have: maps of robots without a gyroscope stay readable.
 remembers!(LocalTracker: keyframes, wheel, pose, covariance, last_wheel, last_time_ns, velocity);
 
 impl LocalTracker {
@@ -124,7 +129,9 @@ impl LocalTracker {
             search_grid: SearchGrid::new(),
             keyframes,
             wheel: WheelModel::new(config),
+            gyro: GyroModel::new(config),
             pose: Pose2::IDENTITY,
+            pose_by_wheels: Pose2::IDENTITY,
             covariance: Matrix3::zeros(),
             last_wheel: None,
             last_time_ns: 0,
@@ -137,12 +144,21 @@ impl LocalTracker {
         self.pose
     }
 
+    /// The last corrected pose, moved on by the wheels alone.
+    pub(crate) fn pose_by_wheels(&self) -> Pose2 {
+        self.pose_by_wheels
+    }
+
     pub(crate) fn covariance(&self) -> &Matrix3<f64> {
         &self.covariance
     }
 
     pub(crate) fn wheel(&self) -> &WheelModel {
         &self.wheel
+    }
+
+    pub(crate) fn gyro(&self) -> &GyroModel {
+        &self.gyro
     }
 
     /// The stretch of the drive that the last scan ended, once.
@@ -159,12 +175,17 @@ impl LocalTracker {
         self.points.stretches()
     }
 
-    /// The wheels report `wheel`: moves the pose by the corrected increment since the last report.
-    pub(crate) fn predict(&mut self, wheel: &Pose2) {
+    /// The wheels report `wheel`, and the gyroscope an angle at the same time: moves the pose by the corrected increment since the
+    /// last report.
+    pub(crate) fn predict(&mut self, wheel: &Pose2, gyro: Option<GyroAngle>) {
         let raw = self.last_wheel.map_or(Pose2::IDENTITY, |last| last.inverse().compose(wheel));
         self.last_wheel = Some(*wheel);
-        let motion = self.wheel.correct(&raw);
+        let mut motion = self.wheel.correct(&raw);
         self.wheel.drove(&raw);
+        self.pose_by_wheels = self.pose_by_wheels.compose(&motion.pose);
+        if let Some(rotation) = self.gyro.advance(gyro) {
+            motion = join(&motion, &rotation);
+        }
         let next = self.pose.compose(&motion.pose);
         let mut spread = Matrix3::identity();
         spread[(0, 2)] = self.pose.y_m - next.y_m;
@@ -179,7 +200,12 @@ impl LocalTracker {
     }
 
     /// The velocity between two reports, for the motion during a sweep.
-    pub(crate) fn measure_velocity(&mut self, wheel: &Pose2, time_ns: u64) {
+    pub(crate) fn measure_velocity(
+        &mut self,
+        wheel: &Pose2,
+        gyro: Option<GyroAngle>,
+        time_ns: u64,
+    ) {
         let seconds = time_ns.saturating_sub(self.last_time_ns) as f64 * 1e-9;
         self.last_time_ns = time_ns;
         let Some(last) = self.last_wheel.filter(|_| seconds > 1e-3) else { return };
@@ -187,7 +213,7 @@ impl LocalTracker {
         self.velocity = Velocity {
             x_mps: motion.x_m / seconds,
             y_mps: motion.y_m / seconds,
-            yaw_radps: motion.yaw_rad / seconds,
+            yaw_radps: self.gyro.rate_radps(gyro).unwrap_or(motion.yaw_rad / seconds),
         };
     }
 
@@ -207,7 +233,7 @@ impl LocalTracker {
             && aligned.is_some_and(|alignment| !self.is_contradicted(&alignment));
         match aligned {
             Some(alignment) if matched => self.correct(&alignment),
-            _ => self.wheel.forget_leg(),
+            _ => self.forget_legs(),
         }
         let mut keyframe = self.is_due() && fit.stretches > 0;
         if keyframe && !matched {
@@ -222,8 +248,14 @@ impl LocalTracker {
     /// Forgets what was seen around the robot, because it is elsewhere. The pose continues from its present value.
     pub(crate) fn forget_surroundings(&mut self) {
         self.keyframes.clear();
-        self.wheel.forget_leg();
+        self.forget_legs();
         self.velocity = Velocity::default();
+    }
+
+    /// What is being measured says nothing about wheels and gyroscope.
+    fn forget_legs(&mut self) {
+        self.wheel.forget_leg();
+        self.gyro.forget_leg();
     }
 
     /// The next wheel pose has another origin, as after a restart of the base.
@@ -339,8 +371,10 @@ impl LocalTracker {
             self.covariance = 0.5 * (covariance + covariance.transpose());
         }
         self.pose = alignment.pose;
+        self.pose_by_wheels = alignment.pose;
         let variances = self.scan_variances(&alignment.information);
         self.leg = self.wheel.observe(&self.pose, variances);
+        self.gyro.observe(self.pose.yaw_rad, variances.yaw_rad2);
     }
 
     fn scan_variances(&self, information: &Matrix3<f64>) -> ScanVariances {
@@ -388,8 +422,21 @@ impl LocalTracker {
 
     pub(crate) fn restore(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
         State::read(self, from)?;
+        self.pose_by_wheels = self.pose;
         self.rebuild();
         Ok(())
+    }
+
+    /// The gyroscope's part of the memory.
+    pub(crate) fn write_gyro(&self, to: &mut Vec<u8>) {
+        self.gyro.write(to);
+        self.pose_by_wheels.write(to);
+    }
+
+    /// Restores what [`write_gyro`](Self::write_gyro) wrote, after [`restore`](Self::restore).
+    pub(crate) fn read_gyro(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.gyro.read(from)?;
+        self.pose_by_wheels.read(from)
     }
 }
 

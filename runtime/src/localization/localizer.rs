@@ -3,10 +3,12 @@
 use hal::{LaserScan, Pose2, ScanGeometry};
 use nalgebra::Matrix3;
 
+use crate::imu::ImuInput;
 use crate::snapshot::{SnapshotError, State};
 
 use super::driven_leg::DrivenLeg;
 use super::global::GlobalMap;
+use super::gyro_model::GyroAngle;
 use super::local::{LocalTracker, Tracked};
 use super::lost::{Doubt, LostReason, Whereabouts};
 use super::relocalizer::Relocalizer;
@@ -112,27 +114,45 @@ impl Localizer {
         time_ns: u64,
         scan: Option<(&LaserScan, &Pose2)>,
     ) -> Estimate {
+        self.update_with_imu(wheel, time_ns, scan, None)
+    }
+
+    /// As [`update`](Self::update), with the angles of a gyroscope at both times. Angles that are not finite are left out.
+    pub fn update_with_imu(
+        &mut self,
+        wheel: &Pose2,
+        time_ns: u64,
+        scan: Option<(&LaserScan, &Pose2)>,
+        imu: Option<&ImuInput>,
+    ) -> Estimate {
+        let imu = imu.filter(|imu| imu.is_finite());
+        let gyro = imu.map(|imu| GyroAngle { time_ns, gaps: imu.gaps, yaw_rad: imu.yaw_rad });
         let beams = self.local.geometry().beams;
         let scan = scan.filter(|(scan, at)| scan.ranges.len() == beams && at.is_finite());
         if !wheel.is_finite() {
             return self.estimate();
         }
-        self.local.measure_velocity(wheel, time_ns);
+        self.local.measure_velocity(wheel, gyro, time_ns);
         let mut tracked = None;
         let mut t_odom_base_at_scan = None;
         let mut wheel_error = None;
         if let Some((scan, wheel_at_scan)) = scan {
-            self.local.predict(wheel_at_scan);
-            let predicted = self.local.pose();
+            let gyro_at_scan = imu.map(|imu| GyroAngle {
+                time_ns: scan.middle_ns(),
+                gaps: imu.gaps,
+                yaw_rad: imu.yaw_at_scan_rad,
+            });
+            self.local.predict(wheel_at_scan, gyro_at_scan);
+            let by_wheels = self.local.pose_by_wheels();
             let result = self.track(scan, wheel_at_scan);
             if result.matched {
-                wheel_error = self.slip.observe(&predicted, &self.local.pose());
+                wheel_error = self.slip.observe(&by_wheels, &self.local.pose());
             }
             tracked = Some(result);
             t_odom_base_at_scan = Some(self.local.pose());
         }
         let leg = self.local.take_leg();
-        self.local.predict(wheel);
+        self.local.predict(wheel, gyro);
         let revision = self.global.revision();
         self.work();
         Estimate {
@@ -225,6 +245,7 @@ impl Localizer {
     pub fn snapshot(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         State::write(self, &mut bytes);
+        self.write_gyro(&mut bytes);
         bytes
     }
 
@@ -235,10 +256,20 @@ impl Localizer {
     pub fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
         let mut from = snapshot;
         State::read(self, &mut from)?;
+        self.read_gyro(&mut from)?;
         match from.len() {
             0 => Ok(()),
             more => Err(SnapshotError::Damaged(format!("{more} bytes are left over"))),
         }
+    }
+
+    /// The memory of the gyroscope, which is not part of a saved map.
+    pub(crate) fn write_gyro(&self, to: &mut Vec<u8>) {
+        self.local.write_gyro(to);
+    }
+
+    pub(crate) fn read_gyro(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.local.read_gyro(from)
     }
 
     /// Does all the work on loop closures that updates have put off.
@@ -307,6 +338,12 @@ impl Localizer {
             wheel_error: None,
             leg: None,
         }
+    }
+
+    /// What the gyroscope does not report: radians per second, and radians per radian. Zero until it is learnt.
+    #[must_use]
+    pub fn gyro_errors(&self) -> [f64; 2] {
+        self.local.gyro().errors()
     }
 
     /// What the wheels do not report: radians per metre, radians per radian, metres per metre.
@@ -388,6 +425,94 @@ mod tests {
     }
 
     #[test]
+    fn with_a_gyroscope_the_yaw_between_frames_20_cm_apart_is_right_to_half_a_milliradian() {
+        for seed in 0..4 {
+            let mut robot = TestRobot::in_room(seed);
+            robot.wheel_noise = [0.03, 0.05];
+            let mut localizer = localizer(&robot);
+            let mut poses = Vec::new();
+            for (forward_m, yaw_rad) in round_trip(1200) {
+                robot.step(forward_m, yaw_rad);
+                let scan = robot.scan();
+                let scan = Some((&scan, &robot.wheel));
+                let imu = Some(&robot.imu());
+                let estimate = localizer.update_with_imu(&robot.wheel, robot.time_ns, scan, imu);
+                poses.push((robot.truth, estimate.t_odom_base));
+            }
+            // The bias is learnt in the first seconds.
+            let [_, radians] = relative_errors(&poses[200..], 7);
+            assert!(radians < 0.0005, "seed {seed}: {radians} rad");
+            let [per_second, per_radian] = localizer.gyro_errors();
+            assert!((per_second + 0.02).abs() < 0.001, "{per_second}");
+            assert!((per_radian + 0.01).abs() < 0.005, "{per_radian}");
+        }
+    }
+
+    /// A blind robot whose wheels report rotations that do not happen: 0.07 rad in each of 30 ticks, after it has driven for a while.
+    #[test]
+    fn wheels_that_spin_on_the_spot_do_not_rotate_a_robot_with_a_gyroscope() {
+        let mut robot = TestRobot::in_room(3);
+        let mut localizer = localizer(&robot);
+        for (forward_m, yaw_rad) in round_trip(300) {
+            robot.step(forward_m, yaw_rad);
+            let scan = robot.scan();
+            let scan = Some((&scan, &robot.wheel));
+            localizer.update_with_imu(&robot.wheel, robot.time_ns, scan, Some(&robot.imu()));
+        }
+        let before = localizer.estimate().t_odom_base;
+        for _ in 0..30 {
+            robot.step(0.0, 0.0);
+            robot.wheel = robot.wheel.compose(&Pose2::new(0.0, 0.0, 0.07));
+            localizer.update_with_imu(&robot.wheel, robot.time_ns, None, Some(&robot.imu()));
+        }
+        let rotated = before.inverse().compose(&localizer.estimate().t_odom_base);
+        assert!(rotated.yaw_rad.abs() < 0.01, "{rotated:?}");
+        // Its scans say so as well: the wheels are named.
+        let mut errors = Vec::new();
+        for _ in 0..30 {
+            robot.step(0.0, 0.0);
+            robot.wheel = robot.wheel.compose(&Pose2::new(0.0, 0.0, 0.07));
+            let scan = robot.scan();
+            let scan = Some((&scan, &robot.wheel));
+            let imu = Some(&robot.imu());
+            let estimate = localizer.update_with_imu(&robot.wheel, robot.time_ns, scan, imu);
+            errors.extend(estimate.wheel_error);
+        }
+        assert_eq!(errors, [WheelError::Spin]);
+    }
+
+    #[test]
+    fn angles_that_are_missing_interrupted_or_not_finite_leave_the_pose_to_wheels_and_scans() {
+        let mut robot = TestRobot::in_room(6);
+        let mut localizer = localizer(&robot);
+        let mut poses = Vec::new();
+        for (step, (forward_m, yaw_rad)) in round_trip(600).enumerate() {
+            robot.step(forward_m, yaw_rad);
+            let scan = robot.scan();
+            let scan = Some((&scan, &robot.wheel));
+            let imu = match step % 100 {
+                0..30 => Some(robot.imu()),
+                30..40 => None,
+                40..70 => Some(ImuInput { gaps: 1, yaw_rad: 5.0, ..robot.imu() }),
+                _ => Some(ImuInput { yaw_rad: f64::NAN, ..robot.imu() }),
+            };
+            // An angle that stands still after an interruption, while the robot rotates, is a surprise.
+            let imu = imu.map(|imu| match imu.gaps {
+                0 => imu,
+                _ => ImuInput { yaw_at_scan_rad: 5.0, ..imu },
+            });
+            let estimate =
+                localizer.update_with_imu(&robot.wheel, robot.time_ns, scan, imu.as_ref());
+            poses.push((robot.truth, estimate.t_odom_base));
+        }
+        let (first_truth, first) = poses[0];
+        let (truth, pose) = poses[599];
+        let expected = first_truth.inverse().compose(&truth);
+        let error = expected.inverse().compose(&first.inverse().compose(&pose));
+        assert!(error.x_m.hypot(error.y_m) < 0.05 && error.yaw_rad.abs() < 0.02, "{error:?}");
+    }
+
+    #[test]
     fn after_40_metres_in_one_room_the_pose_is_right_to_3_cm() {
         let mut robot = TestRobot::in_room(7);
         let poses = drive(&mut robot, 2000);
@@ -425,17 +550,15 @@ mod tests {
             robot.step(forward_m, yaw_rad);
             let scan = robot.scan();
             let input = Some((&scan, &robot.wheel));
-            let estimate = first.update(&robot.wheel, robot.time_ns, input);
+            let imu = Some(robot.imu());
+            let time_ns = robot.time_ns;
+            let estimate = first.update_with_imu(&robot.wheel, time_ns, input, imu.as_ref());
             if step > 150 {
-                let again = second.update(&robot.wheel, robot.time_ns, input);
+                let again = second.update_with_imu(&robot.wheel, time_ns, input, imu.as_ref());
                 assert_eq!(estimate, again, "step {step}");
             }
             if step == 150 {
-                let mut bytes = Vec::new();
-                State::write(&first, &mut bytes);
-                let mut from = bytes.as_slice();
-                State::read(&mut second, &mut from).unwrap();
-                assert!(from.is_empty());
+                second.restore(&first.snapshot()).unwrap();
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Where the robot is: two-dimensional localization and mapping from wheels and a planar LiDAR.
+//! Where the robot is: two-dimensional localization and mapping from wheels, a planar LiDAR, and a gyroscope if there is one.
 //!
 //! The module is given wheel odometry, scans and their times, and returns poses. It opens nothing, reads no clock, and gives the
 //! same poses for the same inputs, bit for bit.
@@ -19,6 +19,7 @@ mod drift;
 mod driven_leg;
 mod error;
 mod global;
+mod gyro_model;
 mod local;
 mod localizer;
 mod lost;
@@ -37,6 +38,7 @@ mod surfel_grid;
 #[cfg(test)]
 pub(crate) mod test_room;
 mod wheel_model;
+mod yaw_errors;
 
 pub use config::{LocalizationConfig, PoseSource};
 pub use driven_leg::{DrivenLeg, ScanVariances};

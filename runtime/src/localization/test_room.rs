@@ -4,6 +4,8 @@ use hal::{LaserScan, Pose2, Range, ScanGeometry};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
+use crate::imu::ImuInput;
+
 /// A wall from one point to another.
 pub(crate) type Wall = [[f64; 2]; 2];
 
@@ -56,6 +58,8 @@ pub(crate) struct TestRobot {
     /// Where the scanner really is.
     pub t_base_laser: Pose2,
     pub range_noise_m: f64,
+    /// What the gyroscope reports, radians; it rotates at 0.02 rad/s while it stands, and by 1 % too much.
+    gyro_rad: f64,
     /// The motion of the current step.
     motion: Pose2,
     rng: Pcg64Mcg,
@@ -76,6 +80,7 @@ impl TestRobot {
             drift_rad_per_m: 0.03,
             t_base_laser: Pose2::IDENTITY,
             range_noise_m: 0.02,
+            gyro_rad: 0.0,
             motion: Pose2::IDENTITY,
             rng: Pcg64Mcg::seed_from_u64(seed),
         }
@@ -104,7 +109,13 @@ impl TestRobot {
         let yaw = yaw_rad * (1.0 + self.wheel_noise[1] * self.normal())
             + self.drift_rad_per_m * forward_m;
         self.wheel = self.wheel.compose(&Pose2::new(distance, 0.0, yaw));
+        self.gyro_rad += 1.01 * yaw_rad + 0.002;
         self.time_ns += STEP_NS;
+    }
+
+    /// The gyroscope's angle after the last step, in which the scan has its middle.
+    pub(crate) fn imu(&self) -> ImuInput {
+        ImuInput { gaps: 0, yaw_rad: self.gyro_rad, yaw_at_scan_rad: self.gyro_rad, tilt_rad: None }
     }
 
     /// A scan whose middle is now, of beams that are spread over the revolution while the robot moves as in the last step.

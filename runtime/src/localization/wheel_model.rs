@@ -4,12 +4,13 @@
 //! distance. Kalman filters with slowly changing states estimate these three numbers from what the scans say; a direction that the
 //! scans say nothing about changes nothing.
 
-use hal::{Pose2, wrap_angle};
-use nalgebra::{Matrix2, Matrix3, Vector2};
+use hal::Pose2;
+use nalgebra::{Matrix3, Vector2};
 use serde::{Deserialize, Serialize};
 
 use super::LocalizationConfig;
 use super::driven_leg::{DrivenLeg, ScanVariances};
+use super::yaw_errors::{MAX_SURPRISE, YawErrors};
 
 /// Before anything is learnt: standard deviations of the three numbers. Real robots have been seen to drift by 0.065 rad/m
 /// (Intel Research Lab) and to be 5 % wrong in yaw (Freiburg, building 079).
@@ -20,8 +21,6 @@ const FIRST_DISTANCE_SCALE: f64 = 0.02;
 const CHANGE_PER_METRE: f64 = 0.001;
 /// Numbers are learnt from legs of this length, because scans say more about them: metres or radians.
 const LEG: f64 = 0.3;
-/// A leg that contradicts the wheels by more than this many standard deviations is slip, not bias.
-const MAX_SURPRISE: f64 = 4.0;
 /// Increments of the yaw shorter than this, in metres or radians, add up like independent ones, with a tenth of the variance that the
 /// configured standard deviation of a whole metre or radian has. The yaw of real wheels is better over short distances: with all of
 /// that variance, the poses along the Intel log drift more until loops are closed (docs/localization.md).
@@ -35,9 +34,8 @@ pub(crate) struct WheelModel {
     distance_noise: f64,
     yaw_noise: f64,
     drift_noise: f64,
-    /// Radians per metre, and radians per radian, that the wheels do not report.
-    yaw_error: Vector2<f64>,
-    yaw_covariance: Matrix2<f64>,
+    /// Per metre, and per radian.
+    yaw: YawErrors,
     /// Metres per metre that the wheels do not report.
     distance_error: f64,
     distance_variance: f64,
@@ -80,14 +78,11 @@ pub(crate) struct Motion {
 
 impl WheelModel {
     pub(crate) fn new(config: &LocalizationConfig) -> Self {
-        let drift = FIRST_DRIFT_RAD_PER_M * FIRST_DRIFT_RAD_PER_M;
-        let scale = FIRST_YAW_SCALE * FIRST_YAW_SCALE;
         Self {
             distance_noise: config.wheel_distance_noise,
             yaw_noise: config.wheel_yaw_noise,
             drift_noise: config.wheel_drift_rad_per_m,
-            yaw_error: Vector2::zeros(),
-            yaw_covariance: Matrix2::new(drift, 0.0, 0.0, scale),
+            yaw: YawErrors::new([FIRST_DRIFT_RAD_PER_M, FIRST_YAW_SCALE]),
             distance_error: 0.0,
             distance_variance: FIRST_DISTANCE_SCALE * FIRST_DISTANCE_SCALE,
             leg: Leg::EMPTY,
@@ -98,7 +93,7 @@ impl WheelModel {
     pub(crate) fn correct(&self, raw: &Pose2) -> Motion {
         let distance_m = signed_length(raw);
         let reported = Vector2::new(distance_m, raw.yaw_rad);
-        let yaw_rad = raw.yaw_rad + self.yaw_error.dot(&reported);
+        let yaw_rad = raw.yaw_rad + self.yaw.unreported(&reported);
         let scale = 1.0 + self.distance_error;
         // The robot drove along an arc: its chord rotates by half of what the yaw was corrected by.
         let (sin, cos) = (0.5 * (yaw_rad - raw.yaw_rad)).sin_cos();
@@ -112,7 +107,7 @@ impl WheelModel {
 
     fn covariance(&self, reported: &Vector2<f64>) -> Matrix3<f64> {
         let (distance_m, yaw_rad) = (reported.x.abs(), reported.y.abs());
-        let unlearnt = (reported.transpose() * self.yaw_covariance * reported)[0];
+        let unlearnt = self.yaw.variance(reported);
         let yaw = self.drift_noise * self.drift_noise * distance_m * distance_m.max(YAW_PIECE)
             + self.yaw_noise * self.yaw_noise * yaw_rad * yaw_rad.max(YAW_PIECE)
             + unlearnt;
@@ -169,19 +164,11 @@ impl WheelModel {
     fn learn_yaw(&mut self, yaw_rad: f64, variance: f64) {
         let reported = Vector2::new(self.leg.distance_m, self.leg.yaw_rad);
         let change = CHANGE_PER_METRE * CHANGE_PER_METRE * self.leg.travelled;
-        self.yaw_covariance += Matrix2::from_diagonal_element(change);
-        let surprise = wrap_angle(yaw_rad - self.leg.yaw_rad - self.yaw_error.dot(&reported));
+        self.yaw.forget([change, change]);
         let noise = variance
             + self.drift_noise * self.drift_noise * self.leg.distance_m.abs()
             + self.yaw_noise * self.yaw_noise * self.leg.yaw_rad.abs();
-        let spread = self.yaw_covariance * reported;
-        let expected = reported.dot(&spread) + noise;
-        if surprise * surprise > MAX_SURPRISE * MAX_SURPRISE * expected {
-            return;
-        }
-        let gain = spread / expected;
-        self.yaw_error += gain * surprise;
-        self.yaw_covariance -= gain * spread.transpose();
+        self.yaw.learn(&reported, yaw_rad - self.leg.yaw_rad, noise);
     }
 
     /// Legs with much rotation say little about distance.
@@ -206,7 +193,8 @@ impl WheelModel {
 
     /// Radians per metre, radians per radian, and metres per metre that the wheels do not report.
     pub(crate) fn errors(&self) -> [f64; 3] {
-        [self.yaw_error.x, self.yaw_error.y, self.distance_error]
+        let [per_metre, per_radian] = self.yaw.numbers();
+        [per_metre, per_radian, self.distance_error]
     }
 }
 
@@ -266,7 +254,7 @@ mod tests {
     #[test]
     fn a_correction_of_nothing_is_nothing_and_driving_back_undoes_driving() {
         let mut model = WheelModel::new(&LocalizationConfig::default());
-        model.yaw_error = Vector2::new(0.05, 0.02);
+        model.yaw.set([0.05, 0.02]);
         assert_eq!(model.correct(&Pose2::IDENTITY).pose, Pose2::IDENTITY);
         let raw = Pose2::new(0.2, 0.01, 0.1);
         let there = model.correct(&raw).pose;

@@ -188,6 +188,7 @@ mod tests {
             wheel,
             scan: Some(&scan),
             scan_odom: wheel.odom,
+            imu: None,
             outside: None,
             frame: with_frame.then_some(frame),
             truth: None,

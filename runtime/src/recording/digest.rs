@@ -3,6 +3,7 @@
 use blake3::Hasher;
 use hal::{DepthMap, ImageView, LaserScan, Pose2, Range, WheelFeedback};
 
+use crate::imu::ImuInput;
 use crate::outside_pose::OutsideInput;
 use crate::tick::{Decision, SafetyReport, TickInput};
 
@@ -76,6 +77,10 @@ fn hash_input(hasher: &mut Hasher, input: &TickInput<'_>) {
     }
     hash_pose(hasher, &input.scan_odom);
     hash_safety(hasher, input.safety);
+    // Recordings from before there were inertial measurement units keep their digests.
+    if let Some(imu) = &input.imu {
+        hash_imu(hasher, imu);
+    }
     // Recordings from before there were poses from outside keep their digests.
     if let Some(OutsideInput { outside, wheel_odom }) = &input.outside {
         hasher.update(&outside.time_ns.to_le_bytes());
@@ -123,6 +128,15 @@ fn hash_safety(hasher: &mut Hasher, safety: &SafetyReport) {
 fn hash_pose(hasher: &mut Hasher, pose: &Pose2) {
     for value in [pose.x_m, pose.y_m, pose.yaw_rad] {
         hasher.update(&value.to_bits().to_le_bytes());
+    }
+}
+
+fn hash_imu(hasher: &mut Hasher, imu: &ImuInput) {
+    hasher.update(b"imu").update(&imu.gaps.to_le_bytes());
+    hasher.update(&imu.yaw_rad.to_bits().to_le_bytes());
+    hasher.update(&imu.yaw_at_scan_rad.to_bits().to_le_bytes());
+    if let Some(tilt_rad) = imu.tilt_rad {
+        hasher.update(&tilt_rad.to_bits().to_le_bytes());
     }
 }
 

@@ -3,6 +3,7 @@
 //! A finite number is written as the shortest text that is read back to the same bits. NaN and infinities, which JSON
 //! does not have, are written as strings of their bits, because a replay needs them too.
 
+use crate::imu::ImuInput;
 use crate::outside_pose::{OutsideInput, OutsidePose};
 use hal::{CameraModel, Distortion, Pose2, Pose3, ScanGeometry, Twist2, WheelFeedback};
 use nalgebra::{Quaternion, Translation3, UnitQuaternion};
@@ -103,6 +104,38 @@ impl From<&PoseJson> for Pose2 {
     fn from(json: &PoseJson) -> Self {
         // Not `Pose2::new`: that wraps the yaw, and a replay needs the bits that were recorded.
         Self { x_m: json.x_m.0, y_m: json.y_m.0, yaw_rad: json.yaw_rad.0 }
+    }
+}
+
+/// An [`ImuInput`] in JSON.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct ImuJson {
+    gaps: u32,
+    yaw_rad: Exact,
+    yaw_at_scan_rad: Exact,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    tilt_rad: Option<Exact>,
+}
+
+impl From<&ImuInput> for ImuJson {
+    fn from(imu: &ImuInput) -> Self {
+        Self {
+            gaps: imu.gaps,
+            yaw_rad: Exact(imu.yaw_rad),
+            yaw_at_scan_rad: Exact(imu.yaw_at_scan_rad),
+            tilt_rad: imu.tilt_rad.map(Exact),
+        }
+    }
+}
+
+impl From<&ImuJson> for ImuInput {
+    fn from(json: &ImuJson) -> Self {
+        Self {
+            gaps: json.gaps,
+            yaw_rad: json.yaw_rad.0,
+            yaw_at_scan_rad: json.yaw_at_scan_rad.0,
+            tilt_rad: json.tilt_rad.as_ref().map(|angle| angle.0),
+        }
     }
 }
 

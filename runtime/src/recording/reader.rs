@@ -12,6 +12,7 @@ use super::tick::{RecordedTick, RgbImage};
 use super::topics::Topic;
 use super::writer::TickJson;
 use super::{RecordingError, image, scan};
+use crate::imu::ImuInput;
 use crate::outside_pose::OutsideInput;
 use crate::tick::Decision;
 
@@ -181,6 +182,7 @@ impl Parts {
             wheel: WheelFeedback::from(&self.json.wheel),
             scan: self.scan,
             scan_odom: Pose2::from(&self.json.scan_odom),
+            imu: self.json.imu.as_ref().map(ImuInput::from),
             outside: self.json.outside.as_ref().map(OutsideInput::from),
             frame: self.frame,
             truth: self.truth,

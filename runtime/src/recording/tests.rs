@@ -10,6 +10,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::event::{BackOffEnd, Event, GoalReason, SafetyEvent};
+use crate::imu::ImuInput;
 use crate::localization::LostReason;
 use crate::operator::{OperatorOrder, Role};
 use crate::outside_pose::{OutsideInput, OutsidePose};
@@ -76,6 +77,12 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
             4,
             (0..24).map(|i| f32::from(i as u16 + tick as u16) / 1000.0).collect(),
         ),
+        imu: Some(ImuInput {
+            gaps: 3,
+            yaw_rad: 0.1 * tick as f64 + 7.0,
+            yaw_at_scan_rad: -0.0,
+            tilt_rad: tick.is_multiple_of(2).then_some(0.1 + 0.2),
+        }),
         outside: Some(OutsideInput {
             outside: OutsidePose {
                 time_ns: tick * 100_000_000 + 7,
@@ -127,6 +134,7 @@ pub(super) fn some_tick(tick: u64) -> RecordedTick {
 fn bare_tick(tick: u64) -> RecordedTick {
     RecordedTick {
         scan: None,
+        imu: None,
         outside: None,
         frame: None,
         truth: None,
@@ -240,6 +248,17 @@ fn any_wheel() -> impl Strategy<Value = WheelFeedback> {
     )
 }
 
+fn any_imu() -> impl Strategy<Value = ImuInput> {
+    (any::<u32>(), any_f64(), any_f64(), prop::option::of(any_f64())).prop_map(
+        |(gaps, yaw_rad, yaw_at_scan_rad, tilt_rad)| ImuInput {
+            gaps,
+            yaw_rad,
+            yaw_at_scan_rad,
+            tilt_rad,
+        },
+    )
+}
+
 fn any_outside() -> impl Strategy<Value = OutsideInput> {
     (any::<u64>(), prop::array::uniform6(any_f64())).prop_map(|(time_ns, v)| OutsideInput {
         outside: OutsidePose { time_ns, pose: Pose2 { x_m: v[0], y_m: v[1], yaw_rad: v[2] } },
@@ -314,10 +333,11 @@ prop_compose! {
         truth in prop::option::of(any_truth()),
         decision in prop::option::of(any_decision()),
         safety in any_report(),
+        imu in prop::option::of(any_imu()),
         outside in prop::option::of(any_outside()),
     ) -> RecordedTick {
         let scan_odom = wheel.odom;
-        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, outside, frame, truth, task: None, areas: Vec::new(), orders: Vec::new(), safety, decision, snapshot: None }
+        RecordedTick { tick: 0, time_ns, wheel, scan, scan_odom, imu, outside, frame, truth, task: None, areas: Vec::new(), orders: Vec::new(), safety, decision, snapshot: None }
     }
 }
 

@@ -3,6 +3,7 @@
 use hal::{DepthMap, ImageView, LaserScan, PixelFormat, Pose2, WheelFeedback};
 
 use super::RecordingError;
+use crate::imu::ImuInput;
 use crate::operator::OperatorOrder;
 use crate::outside_pose::OutsideInput;
 use crate::task::{AreaChange, Task};
@@ -32,6 +33,8 @@ pub struct RecordedTick {
     pub scan: Option<LaserScan>,
     /// `t_odom_base` when the scanner was halfway through `scan`.
     pub scan_odom: Pose2,
+    /// Rotation and tilt by the inertial measurement unit.
+    pub imu: Option<ImuInput>,
     /// The newest pose that another program has sent since the previous tick.
     pub outside: Option<OutsideInput>,
     /// A new image, if one arrived.
@@ -63,6 +66,7 @@ impl RecordedTick {
             wheel: WheelFeedback { time_ns, ..WheelFeedback::default() },
             scan: None,
             scan_odom: Pose2::IDENTITY,
+            imu: None,
             outside: None,
             frame: None,
             truth: None,
@@ -97,6 +101,7 @@ impl RecordedTick {
             wheel: input.wheel,
             scan: input.scan.cloned(),
             scan_odom: input.scan_odom,
+            imu: input.imu,
             outside: input.outside,
             frame: frame.transpose()?,
             truth: input.truth.cloned(),
@@ -148,6 +153,7 @@ impl RecordedTick {
             wheel: self.wheel,
             scan: self.scan.as_ref(),
             scan_odom: self.scan_odom,
+            imu: self.imu,
             outside: self.outside,
             frame: frame
                 .transpose()

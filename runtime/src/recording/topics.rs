@@ -111,7 +111,9 @@ const TICK: &str = r#"{"title":"robot.Tick","type":"object","properties":{
 "blocked_m":{"type":"array","items":{"type":"number"}},"unseen_m":{"type":"array","items":{"type":"number"}},"events":{"type":"array","items":{}},
 "sent":{"type":"array","items":{"type":"object","properties":{"time_ns":{"type":"integer"},"counter":{"type":"integer"},
 "linear_mps":{"type":"number"},"angular_radps":{"type":"number"}}}},"sent_dropped":{"type":"integer"}}},
-"scan_odom":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_rad":{"type":"number"}}}}}"#;
+"scan_odom":{"type":"object","properties":{"x_m":{"type":"number"},"y_m":{"type":"number"},"yaw_rad":{"type":"number"}}},
+"imu":{"type":"object","properties":{"gaps":{"type":"integer"},"yaw_rad":{"type":"number"},
+"yaw_at_scan_rad":{"type":"number"},"tilt_rad":{"type":"number"}}}}}"#;
 
 const DECISION: &str = r#"{"title":"robot.Decision","type":"object","properties":{"tick":{"type":"integer"},
 "time_ns":{"type":"integer"},

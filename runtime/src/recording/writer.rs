@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::event_log::EventLog;
 use super::header::SegmentHeader;
-use super::json::{OutsideJson, PoseJson, ScanJson, WheelJson};
+use super::json::{ImuJson, OutsideJson, PoseJson, ScanJson, WheelJson};
 use super::tick::RecordedTick;
 use super::topics::Topic;
 use super::views::{self, Views};
@@ -54,6 +54,8 @@ pub(super) struct TickJson {
     pub wheel: WheelJson,
     pub scan: Option<ScanJson>,
     pub scan_odom: PoseJson,
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub imu: Option<ImuJson>,
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub outside: Option<OutsideJson>,
     pub frame: bool,
@@ -189,6 +191,7 @@ impl<W: Write> RecordingWriter<W> {
             wheel: WheelJson::from(&tick.wheel),
             scan: tick.scan.as_ref().map(|scan| ScanJson::new(scan.time_ns, &scan.geometry)),
             scan_odom: PoseJson::from(&tick.scan_odom),
+            imu: tick.imu.as_ref().map(ImuJson::from),
             outside: tick.outside.as_ref().map(OutsideJson::from),
             frame: tick.frame.is_some(),
             truth: tick.truth.is_some(),

@@ -106,7 +106,8 @@ impl Location {
             return Located::by_wheels(wheel, wheel);
         };
         let scan = scan.map(|scan| (scan, &input.scan_odom));
-        let estimate = localizer.update(&wheel, input.wheel.time_ns, scan);
+        let imu = input.imu.as_ref();
+        let estimate = localizer.update_with_imu(&wheel, input.wheel.time_ns, scan, imu);
         Located {
             poses: self.poses(&estimate),
             whereabouts: estimate.whereabouts,
@@ -166,6 +167,18 @@ impl Location {
     /// Counts the corrections of the path.
     pub(super) fn revision(&self) -> u64 {
         self.localizer.as_ref().map_or(0, Localizer::revision)
+    }
+
+    /// The memory of the gyroscope, which is in snapshots and not in saved maps.
+    pub(super) fn write_gyro(&self, to: &mut Vec<u8>) {
+        if let Some(localizer) = &self.localizer {
+            localizer.write_gyro(to);
+        }
+    }
+
+    /// Restores what [`write_gyro`](Self::write_gyro) wrote, after the rest of the memory.
+    pub(super) fn read_gyro(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.localizer.as_mut().map_or(Ok(()), |localizer| localizer.read_gyro(from))
     }
 
     /// A scanner that cannot localize (too few beams) leaves the robot to its wheels.

@@ -274,6 +274,7 @@ impl Robot {
         self.network_digest().write(&mut bytes);
         self.config.depth_source.write(&mut bytes);
         State::write(self, &mut bytes);
+        self.location.write_gyro(&mut bytes);
         if let Some(network) = &self.network {
             network.write(&mut bytes);
         }
@@ -297,6 +298,7 @@ impl Robot {
         }
         self.config.depth_source.read(&mut from)?;
         State::read(self, &mut from)?;
+        self.location.read_gyro(&mut from)?;
         if let Some(network) = &mut self.network {
             network.read(&mut from)?;
         }

@@ -14,11 +14,12 @@ mod tests;
 mod virtual_time;
 mod wheel_history;
 
-use hal::{Clock, DepthMap, ImageView};
+use hal::{Clock, DepthMap, ImageView, ImuSample, LaserScan};
 
 pub use safety_link::{SafetyPort, SafetyTask, safety_link};
 pub use virtual_time::{VirtualDevices, VirtualTime};
 
+use crate::imu::ImuHistory;
 use crate::operator::OperatorOrder;
 use crate::outside_pose::{OutsideInput, OutsidePose};
 use crate::recording::{RecordedTick, RecordingError};
@@ -31,13 +32,20 @@ use wheel_history::WheelHistory;
 /// Orders that wait for one tick. More than a second's worth comes only while there are no ticks.
 const MOST_ORDERS: usize = 64;
 
-/// The exploration loop's devices: a clock and a camera. Wheels and scans come through the [`SafetyPort`].
+/// The exploration loop's devices: a clock, a camera, and an inertial measurement unit if there is one. Wheels and scans come
+/// through the [`SafetyPort`].
 pub trait Devices: Clock {
     /// Fetches the newest frame, if there is a new one. Returns the time at which it was taken, monotonic nanoseconds.
     fn poll_frame(&mut self) -> Option<u64>;
 
     /// The frame that was fetched last: RGB8, of the size that perception works on.
     fn frame(&self) -> Option<ImageView<'_>>;
+
+    /// The oldest sample of the inertial measurement unit that was not returned before, in the axes of `base_link`. `None` when
+    /// there is none.
+    fn poll_imu(&mut self) -> Option<ImuSample> {
+        None
+    }
 
     /// Ground-truth depth of that frame. Only simulated devices have it, and only for the depth source `truth`.
     fn truth(&self) -> Option<&DepthMap> {
@@ -78,6 +86,7 @@ pub struct Session<D> {
     robot: Robot,
     port: SafetyPort,
     wheels: WheelHistory,
+    imu: ImuHistory,
     report: SafetyReport,
     task: Option<Task>,
     areas: Vec<AreaChange>,
@@ -98,6 +107,7 @@ impl<D: Devices> Session<D> {
             robot,
             port,
             wheels: WheelHistory::default(),
+            imu: ImuHistory::default(),
             report: SafetyReport::default(),
             task: None,
             areas: Vec::new(),
@@ -131,6 +141,9 @@ impl<D: Devices> Session<D> {
         observer.started();
         let frame_ns = self.devices.poll_frame();
         self.port.update(&mut self.wheels, &mut self.report);
+        while let Some(sample) = self.devices.poll_imu() {
+            self.imu.push(&sample);
+        }
         let time_ns = self.devices.now_ns();
         let wheel = match frame_ns {
             Some(frame_ns) => self.wheels.at(frame_ns),
@@ -139,13 +152,15 @@ impl<D: Devices> Session<D> {
         let Some(wheel) = wheel else { return Ok(None) };
         let outside = self.take_outside_pose();
         let scan = self.port.scans.nearest(wheel.time_ns);
-        let scan_wheel = scan.and_then(|scan| self.wheels.at(scan.middle_ns()));
+        let scan_ns = scan.map(LaserScan::middle_ns);
+        let scan_wheel = scan_ns.and_then(|scan_ns| self.wheels.at(scan_ns));
         let input = TickInput {
             tick: self.tick,
             time_ns,
             wheel,
             scan,
             scan_odom: scan_wheel.unwrap_or(wheel).odom,
+            imu: self.imu.at(wheel.time_ns, scan_ns),
             outside,
             frame: frame_ns.and_then(|_| self.devices.frame()),
             truth: frame_ns.and_then(|_| self.devices.truth()),

@@ -1,6 +1,6 @@
 //! Devices in one thread and in virtual time: for simulation, scenarios and accuracy tables.
 
-use hal::{Base, Camera, Clock, DepthMap, Frame, ImageView, Lidar};
+use hal::{Base, Camera, Clock, DepthMap, Frame, ImageView, Imu, ImuSample, Lidar};
 
 use super::{Devices, SafetyTask};
 use crate::safety::{Orders, Request, SafetyState};
@@ -79,6 +79,7 @@ pub struct VirtualDevices<K, C> {
     camera: C,
     frame: Frame,
     ground_truth: Option<GroundTruth>,
+    poll_imu: Option<Box<dyn FnMut() -> Option<ImuSample>>>,
 }
 
 /// The source of depth for the depth source `truth`.
@@ -90,7 +91,7 @@ struct GroundTruth {
 impl<K: Clock, C: Camera> VirtualDevices<K, C> {
     /// Devices that have not fetched a frame yet.
     pub fn new(clock: K, camera: C) -> Self {
-        Self { clock, camera, frame: Frame::empty(), ground_truth: None }
+        Self { clock, camera, frame: Frame::empty(), ground_truth: None, poll_imu: None }
     }
 
     /// Makes `read` copy the ground-truth depth of every fetched frame, for the depth source
@@ -99,6 +100,12 @@ impl<K: Clock, C: Camera> VirtualDevices<K, C> {
     pub fn with_ground_truth(self, read: impl FnMut(&mut DepthMap) + 'static) -> Self {
         let truth = GroundTruth { read: Box::new(read), depth: DepthMap::none(0, 0) };
         Self { ground_truth: Some(truth), ..self }
+    }
+
+    /// Adds an inertial measurement unit with the axes of `base_link`. While it has an error it has no samples.
+    #[must_use]
+    pub fn with_imu(self, mut imu: impl Imu + 'static) -> Self {
+        Self { poll_imu: Some(Box::new(move || imu.poll_sample().ok().flatten())), ..self }
     }
 
     /// The clock, for writing.
@@ -138,6 +145,10 @@ impl<K: Clock, C: Camera> Devices for VirtualDevices<K, C> {
 
     fn frame(&self) -> Option<ImageView<'_>> {
         self.frame.view().ok()
+    }
+
+    fn poll_imu(&mut self) -> Option<ImuSample> {
+        self.poll_imu.as_mut()?()
     }
 
     fn truth(&self) -> Option<&DepthMap> {

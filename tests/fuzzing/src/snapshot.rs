@@ -53,6 +53,12 @@ pub(crate) fn run_ticks(robot: &mut Robot) {
             wheel,
             scan: Some(&scan),
             scan_odom: wheel.odom,
+            imu: Some(ImuInput {
+                gaps: 0,
+                yaw_rad: 0.01 * tick as f64,
+                yaw_at_scan_rad: 0.01 * tick as f64,
+                tilt_rad: Some(0.0),
+            }),
             outside: Some(OutsideInput {
                 outside: OutsidePose { time_ns, pose: Pose2::new(0.01 * tick as f64, 0.0, 0.0) },
                 wheel_odom: wheel.odom,

@@ -22,11 +22,12 @@ const HOUR: usize = 36_000;
 /// Distance between the two poses of a pair, metres.
 const PAIR_M: f64 = 0.2;
 
-pub const COLUMNS: [&str; 10] = [
+pub const COLUMNS: [&str; 11] = [
     "simulated home",
     "scans",
     "driven (m)",
     "0.2 m apart, rms (mm / mrad)",
+    "with a gyroscope (mm / mrad)",
     "wheels alone (mm / mrad)",
     "scan to pose, ms p50 / p99",
     "closing loops, ms a tick p99 / max",
@@ -40,6 +41,8 @@ pub const COLUMNS: [&str; 10] = [
 struct Step {
     truth: Pose2,
     t_odom_base: Pose2,
+    /// The same with a gyroscope.
+    with_imu: Pose2,
     wheel: Pose2,
     /// By KISS-ICP, if it runs beside.
     peer: Option<Pose2>,
@@ -63,13 +66,15 @@ struct Drive {
 ///
 /// # Errors
 /// A home that cannot be opened.
-pub fn row(home: &str, laps_once: bool) -> Result<[String; 10]> {
+pub fn row(home: &str, laps_once: bool) -> Result<[String; 11]> {
     let world = Arc::new(World::open(home, &OpenOptions::default()).context(home.to_owned())?);
     let drive = drive(&world, laps_once)?;
     let [metres, radians] = errors(&drive.steps, |step| step.t_odom_base);
+    let [imu_metres, imu_radians] = errors(&drive.steps, |step| step.with_imu);
     let [wheel_metres, wheel_radians] = errors(&drive.steps, |step| step.wheel);
     let [peer_metres, peer_radians] =
         errors(&drive.steps, |step| step.peer.unwrap_or(Pose2::IDENTITY));
+    let of_lap = |cell: String| if laps_once { cell } else { String::new() };
     let of_peer = |cell: String| if drive.peer_ms.is_empty() { String::new() } else { cell };
     let ms = |values: &[f64], share| quantile(values, share);
     Ok([
@@ -77,6 +82,7 @@ pub fn row(home: &str, laps_once: bool) -> Result<[String; 10]> {
         drive.steps.len().to_string(),
         format!("{:.0}", drive.driven_m),
         format!("{:.1} / {:.1}", 1e3 * metres, 1e3 * radians),
+        of_lap(format!("{:.1} / {:.1}", 1e3 * imu_metres, 1e3 * imu_radians)),
         format!("{:.1} / {:.1}", 1e3 * wheel_metres, 1e3 * wheel_radians),
         format!("{:.2} / {:.2}", ms(&drive.tracking_ms, 0.5), ms(&drive.tracking_ms, 0.99)),
         format!("{:.2} / {:.2}", ms(&drive.closing_ms, 0.99), ms(&drive.closing_ms, 1.0)),
@@ -89,6 +95,7 @@ pub fn row(home: &str, laps_once: bool) -> Result<[String; 10]> {
 fn drive(world: &Arc<World>, laps_once: bool) -> Result<Drive> {
     let mut rover = Rover::new(world, 1)?;
     let mut localizer = rover.localizer()?;
+    let mut second = if laps_once { Some(rover.localizer()?) } else { None };
     // An hour would take it long, and say nothing that a lap does not.
     let mut peer = if laps_once { KissIcp::start()? } else { None };
     let mut drive = Drive::default();
@@ -109,9 +116,11 @@ fn drive(world: &Arc<World>, laps_once: bool) -> Result<Drive> {
             if let Some(last) = drive.steps.last() {
                 drive.driven_m += last.truth.distance_m(&pose);
             }
+            let with_imu = second.as_mut().map(|second| rover.update_with_imu(second));
             let mut step = Step {
                 truth: pose,
                 t_odom_base: estimate.t_odom_base,
+                with_imu: with_imu.map_or(Pose2::IDENTITY, |estimate| estimate.t_odom_base),
                 wheel: rover.wheel(),
                 peer: None,
             };

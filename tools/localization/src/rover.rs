@@ -1,12 +1,13 @@
-//! A simulated robot that follows given poses: its scanner turns while it moves, and its wheels are those of an ordinary base.
+//! A simulated robot that follows given poses: its scanner rotates while it moves, and its wheels are those of an ordinary base.
 
 use std::sync::Arc;
 
 use anyhow::{Result, ensure};
-use hal::{Clock, LaserScan, Lidar, Pose2, wrap_angle};
+use hal::{Clock, Imu, LaserScan, Lidar, Pose2, wrap_angle};
+use runtime::imu::ImuHistory;
 use runtime::localization::{Estimate, LocalizationConfig, Localizer};
 use simulator::odometry::{Odometer, OdometryNoise};
-use simulator::robot::{SimClock, SimLidar};
+use simulator::robot::{SimClock, SimImu, SimLidar};
 use simulator::{RobotOptions, SimulatedRobot, World};
 
 /// Time between two scans.
@@ -16,6 +17,8 @@ pub const STEP_NS: u64 = 100_000_000;
 pub struct Rover {
     robot: SimulatedRobot,
     lidar: SimLidar,
+    imu: SimImu,
+    rotation: ImuHistory,
     clock: SimClock,
     odometer: Odometer,
     /// Half the time of a scan, as a share of the time between two scans.
@@ -41,6 +44,8 @@ impl Rover {
         Ok(Self {
             robot,
             lidar: devices.lidar,
+            imu: devices.imu,
+            rotation: ImuHistory::default(),
             clock: devices.clock,
             odometer: Odometer::new(OdometryNoise::ORDINARY, seed),
             half_scan: 0.5 * geometry.period_ns as f64 / STEP_NS as f64,
@@ -98,6 +103,9 @@ impl Rover {
         self.clock.sleep_until_ns(self.clock.now_ns() + STEP_NS);
         ensure!(self.robot.push_by(&motion), "the robot does not fit at {truth:?}");
         self.lidar.poll_scan(&mut self.scan)?;
+        while let Some(sample) = self.imu.poll_sample()? {
+            self.rotation.push(&sample);
+        }
         Ok(())
     }
 
@@ -105,6 +113,14 @@ impl Rover {
     pub fn update(&self, localizer: &mut Localizer) -> Estimate {
         let scan = Some((&self.scan, &self.wheel_at_scan));
         localizer.update(&self.wheel(), self.clock.now_ns(), scan)
+    }
+
+    /// The same for a robot with an inertial unit.
+    pub fn update_with_imu(&self, localizer: &mut Localizer) -> Estimate {
+        let now_ns = self.clock.now_ns();
+        let scan = Some((&self.scan, &self.wheel_at_scan));
+        let imu = self.rotation.at(now_ns, Some(self.scan.middle_ns()));
+        localizer.update_with_imu(&self.wheel(), now_ns, scan, imu.as_ref())
     }
 }
 

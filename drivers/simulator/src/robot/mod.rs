@@ -4,6 +4,7 @@
 mod change;
 mod devices;
 mod drive;
+mod imu;
 mod inhabitants;
 #[cfg(test)]
 mod tests;
@@ -15,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use hal::{
     CameraModel, DepthMap, Distortion, Frame, LaserScan, Pose2, Pose3, RobotDescription,
-    ScanGeometry, Twist2, WheelFeedback,
+    ScanGeometry, Twist2, WheelFeedback, wrap_angle,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -33,10 +34,12 @@ use unevenness::Unevenness;
 
 pub use change::Change;
 pub use devices::{DriveRefused, SimBase, SimCamera, SimClock, SimLidar, Truth};
+pub use imu::{ImuNoise, SimImu};
 
 /// Random streams of a run. They are separate so that changing one option does not change the
 /// numbers drawn for another.
 const LASER_STREAM: u64 = 0x6c61_7365;
+const IMU_STREAM: u64 = 0x0069_6d75;
 const CAMERA_STREAM: u64 = 0x6361_6d65;
 const WHEEL_STREAM: u64 = 0x7768_6565;
 const PEOPLE_STREAM: u64 = 0x7065_6f70;
@@ -70,6 +73,7 @@ pub struct RobotOptions {
     pub sliding: bool,
     pub odometry: OdometryNoise,
     pub laser: LaserModel,
+    pub imu: ImuNoise,
     /// Disturbances of the camera image, people and pets.
     pub nuisances: Nuisances,
     /// Mean time from the exposure of a frame to its time stamp, seconds. The latency of one robot is
@@ -106,6 +110,7 @@ impl Default for RobotOptions {
             sliding: false,
             odometry: OdometryNoise::default(),
             laser: LaserModel::UTM_30LX,
+            imu: ImuNoise::BMI160,
             nuisances: Nuisances::default(),
             camera_latency_s: CAMERA_LATENCY_S,
             camera_late_s: 0.0,
@@ -126,6 +131,7 @@ impl RobotOptions {
     fn check(&self) -> Result<(), SceneError> {
         self.nuisances.check()?;
         self.odometry.check()?;
+        self.imu.check()?;
         if !self.camera.is_sound() || self.camera.distortion != Distortion::None {
             let allowed = "a pinhole without distortion, of positive size and focal length";
             return refuse("camera model", format!("{:?}", self.camera), allowed);
@@ -181,6 +187,7 @@ pub struct Devices {
     pub camera: SimCamera,
     pub lidar: SimLidar,
     pub base: SimBase,
+    pub imu: SimImu,
     /// Virtual time; advancing it moves the robot.
     pub clock: SimClock,
     /// Ground truth for evaluation only.
@@ -199,6 +206,8 @@ pub(crate) struct State {
     /// Time from the middle of an exposure to the frame's time stamp.
     latency_s: f64,
     odometer: Odometer,
+    /// Angle by which the robot was rotated while it was carried, which the gyroscope has not measured yet, radians.
+    carried_rad: f64,
     /// Distance that was driven, metres.
     driven_m: f64,
     twist: Twist2,
@@ -240,6 +249,7 @@ impl SimulatedRobot {
                 * stream_rng(LATENCY_STREAM, options.seed).random_range(0.5..1.5)
                 + options.camera_late_s,
             odometer: Odometer::new(options.odometry, options.seed ^ (WHEEL_STREAM << 16)),
+            carried_rad: 0.0,
             driven_m: 0.0,
             twist: Twist2::ZERO,
             command: Twist2::ZERO,
@@ -266,6 +276,7 @@ impl SimulatedRobot {
     pub fn carry_to(&self, pose: Pose2) {
         let mut state = lock(&self.shared);
         let now_ns = state.now_ns;
+        state.carried_rad += wrap_angle(pose.yaw_rad - state.pose.yaw_rad);
         state.pose = pose;
         state.trail = Trail::new(now_ns, pose);
     }
@@ -285,15 +296,12 @@ impl SimulatedRobot {
     /// Device handles that share this robot. The noise of each scanner begins with the robot's seed.
     #[must_use]
     pub fn devices(&self) -> Devices {
-        let (camera, laser, rng) = {
-            let state = lock(&self.shared);
-            let rng = stream_rng(LASER_STREAM, state.options.seed);
-            (state.options.camera, state.options.laser.clone(), rng)
-        };
+        let RobotOptions { camera, laser, imu, seed, .. } = lock(&self.shared).options.clone();
         Devices {
             camera: SimCamera::new(self.shared.clone(), camera),
-            lidar: SimLidar::new(self.shared.clone(), laser, rng),
+            lidar: SimLidar::new(self.shared.clone(), laser, stream_rng(LASER_STREAM, seed)),
             base: SimBase::new(self.shared.clone()),
+            imu: SimImu::new(self.shared.clone(), imu, stream_rng(IMU_STREAM, seed)),
             clock: SimClock::new(self.shared.clone()),
             truth: Truth::new(self.shared.clone()),
         }

@@ -554,3 +554,84 @@ proptest! {
         }
     }
 }
+
+const NO_IMU_NOISE: ImuNoise = ImuNoise {
+    period_ns: 10_000_000,
+    bias_radps: 0.0,
+    bias_walk_radps: 0.0,
+    scale: 0.0,
+    angle_rad: 0.0,
+    force_mps2: 0.0,
+};
+
+fn samples(imu: &mut SimImu) -> Vec<hal::ImuSample> {
+    std::iter::from_fn(|| hal::Imu::poll_sample(imu).unwrap()).collect()
+}
+
+#[test]
+fn the_inertial_unit_measures_the_rotation_in_every_period_once() {
+    let options = RobotOptions { imu: NO_IMU_NOISE, ..exact(Pose2::new(1.0, 1.0, 0.2)) };
+    let mut devices = robot(options);
+    tick(&mut devices, 0.3, 0.5);
+    let measured = samples(&mut devices.imu);
+    assert_eq!(measured.len(), 10);
+    for (number, sample) in measured.iter().enumerate() {
+        assert_eq!(sample.time_ns, 10_000_000 * number as u64 + 5_000_000);
+        let [x, y, z] = sample.angular_radps;
+        assert!(x.abs() < 1e-9 && y.abs() < 1e-9 && (z - 0.5).abs() < 1e-9, "{sample:?}");
+        assert!((sample.force_mps2.unwrap()[2] - 9.81).abs() < 1e-9);
+    }
+    assert!(samples(&mut devices.imu).is_empty());
+}
+
+#[test]
+fn the_inertial_unit_measures_that_the_robot_was_rotated_while_it_was_carried() {
+    let options = RobotOptions { imu: NO_IMU_NOISE, ..exact(Pose2::new(1.0, 1.0, 0.2)) };
+    let robot = SimulatedRobot::new(ROOM.clone(), options).unwrap();
+    let mut devices = robot.devices();
+    robot.carry_to(Pose2::new(2.0, 1.0, 1.7));
+    tick(&mut devices, 0.0, 0.0);
+    let turned: f64 =
+        samples(&mut devices.imu).iter().map(|sample| 0.01 * sample.angular_radps[2]).sum();
+    assert!((turned - 1.5).abs() < 1e-9, "{turned}");
+}
+
+#[test]
+fn at_rest_the_inertial_unit_rotates_by_its_bias_and_its_noise() {
+    let noise = ImuNoise { bias_walk_radps: 0.0, ..ImuNoise::BMI160 };
+    let mut ends = Vec::new();
+    for seed in 0..200 {
+        let options = RobotOptions { imu: noise, seed, ..exact(Pose2::new(1.0, 1.0, 0.2)) };
+        let mut devices = robot(options);
+        let halves = [(); 2].map(|()| {
+            (0..5).for_each(|_| drop(tick(&mut devices, 0.0, 0.0)));
+            let measured = samples(&mut devices.imu);
+            measured.iter().map(|sample| 0.01 * sample.angular_radps[2]).sum::<f64>()
+        });
+        ends.push(halves);
+    }
+    let rms = |of: &dyn Fn(&[f64; 2]) -> f64| {
+        (ends.iter().map(|ends| of(ends).powi(2)).sum::<f64>() / ends.len() as f64).sqrt()
+    };
+    let bias_radps = rms(&|[first, second]| first + second);
+    let noise_rad = rms(&|[first, second]| first - second);
+    assert!((bias_radps / noise.bias_radps - 1.0).abs() < 0.15, "{bias_radps}");
+    assert!((noise_rad / noise.angle_rad - 1.0).abs() < 0.15, "{noise_rad}");
+}
+
+#[test]
+fn samples_that_nothing_fetched_for_a_second_are_lost() {
+    let options = RobotOptions { imu: NO_IMU_NOISE, ..exact(Pose2::new(1.0, 1.0, 0.2)) };
+    let mut devices = robot(options);
+    (0..30).for_each(|_| drop(tick(&mut devices, 0.0, 0.3)));
+    let measured = samples(&mut devices.imu);
+    assert_eq!(measured.len(), 90);
+    assert!(measured.iter().all(|sample| (sample.angular_radps[2] - 0.3).abs() < 1e-9));
+}
+
+#[test]
+fn an_inertial_unit_that_is_no_number_is_refused() {
+    let noise = ImuNoise { scale: f64::NAN, ..ImuNoise::BMI160 };
+    let options = RobotOptions { imu: noise, ..small() };
+    assert!(matches!(SimulatedRobot::new(ROOM.clone(), options), Err(SceneError::Option { .. })));
+}
