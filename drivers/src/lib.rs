@@ -7,6 +7,7 @@
 //! * [`rplidar`] and [`ld06`] are protocols and drivers of scanners that rotate slowly; [`rotary`] is
 //!   what they share. [`lidar`] is whichever scanner the configuration names.
 //! * [`v4l2`] is the driver for cameras of Linux's Video4Linux2.
+//! * [`iio`] is the driver for inertial measurement units and gyroscopes of Linux's Industrial I/O.
 //! * [`stop_line`] reads an emergency stop on an input line of the computer.
 //! * [`fault`] wraps any device and injects faults, for tests and simulated runs.
 //!
@@ -17,6 +18,7 @@
 pub mod can;
 pub mod fault;
 pub mod hokuyo;
+pub mod iio;
 pub mod ld06;
 pub mod lidar;
 pub mod rotary;

@@ -59,6 +59,11 @@ impl Link {
         Ok(Self { fd, stop: stop.clone(), port: name.clone() })
     }
 
+    /// A link over a file that does not block and is already set up.
+    pub(crate) fn of(fd: OwnedFd, name: &Arc<str>, stop: &Stop) -> Self {
+        Self { fd, stop: stop.clone(), port: name.clone() }
+    }
+
     /// Waits for bytes until the monotonic deadline.
     pub(crate) fn read(&self, buffer: &mut [u8], deadline_ns: u64) -> Result<Received, LinkError> {
         loop {

@@ -64,6 +64,21 @@ impl Shared {
     pub(crate) fn set_problem(&self, problem: String) {
         self.with_texts(|texts| texts.problem = Some(problem));
     }
+
+    pub(crate) fn problem(&self) -> Option<String> {
+        self.with_texts(|texts| texts.problem.clone())
+    }
+
+    pub(crate) fn status(&self) -> DeviceStatus {
+        DeviceStatus {
+            state: self.state(),
+            good: self.good.load(Ordering::Relaxed),
+            bad: self.bad.load(Ordering::Relaxed),
+            lost: self.lost.load(Ordering::Relaxed),
+            reopened: self.reopened.load(Ordering::Relaxed),
+            last_good_ns: self.last_good_ns.load(Ordering::Acquire),
+        }
+    }
 }
 
 /// Reads a scanner's state from another thread than the one that polls it.
@@ -76,15 +91,7 @@ impl LidarMonitor {
     /// The scanner's state and counts. Takes no lock.
     #[must_use]
     pub fn status(&self) -> DeviceStatus {
-        let shared = &self.shared;
-        DeviceStatus {
-            state: shared.state(),
-            good: shared.good.load(Ordering::Relaxed),
-            bad: shared.bad.load(Ordering::Relaxed),
-            lost: shared.lost.load(Ordering::Relaxed),
-            reopened: shared.reopened.load(Ordering::Relaxed),
-            last_good_ns: shared.last_good_ns.load(Ordering::Acquire),
-        }
+        self.shared.status()
     }
 
     /// The scanner's identification; `None` before its first answer.
@@ -97,6 +104,6 @@ impl LidarMonitor {
     /// is solved, which the state shows.
     #[must_use]
     pub fn problem(&self) -> Option<String> {
-        self.shared.with_texts(|texts| texts.problem.clone())
+        self.shared.problem()
     }
 }
