@@ -192,7 +192,7 @@ fn devices(status: &Status) -> Table {
     let mut table = Table::new();
     table.load_preset(NOTHING).set_content_arrangement(ContentArrangement::Disabled);
     table.set_header(["device", "state", "rate", "age", "good", "bad", "lost", "reopened"]);
-    for device in [&status.camera, &status.lidar, &status.base] {
+    for device in status.devices() {
         table.add_row(row(device));
     }
     for column in 2..8 {

@@ -22,6 +22,17 @@ impl ImuSample {
         let force = self.force_mps2.unwrap_or_default();
         self.angular_radps.iter().chain(&force).all(|value| value.is_finite())
     }
+
+    /// The same sample in the axes into which `rotation` rotates those of the unit.
+    #[must_use]
+    pub fn rotated(&self, rotation: &UnitQuaternion<f64>) -> Self {
+        let rotate = |vector: [f64; 3]| (rotation * Vector3::from(vector)).into();
+        Self {
+            time_ns: self.time_ns,
+            angular_radps: rotate(self.angular_radps),
+            force_mps2: self.force_mps2.map(rotate),
+        }
+    }
 }
 
 /// The unit's orientation on the robot. Its position does not matter: every point of a rigid robot rotates with the same angular
@@ -45,6 +56,19 @@ impl ImuMount {
             self.pitch_deg.to_radians(),
             self.yaw_deg.to_radians(),
         )
+    }
+
+    /// The mount of a unit that measures this specific force while the robot stands on level floor. Gravity says nothing about the
+    /// rotation about itself: `yaw_deg` is 0.
+    #[must_use]
+    pub fn of_force(force_mps2: [f64; 3]) -> Self {
+        let [x, y, z] = force_mps2;
+        let across = nalgebra::ComplexField::sqrt(y * y + z * z);
+        Self {
+            roll_deg: nalgebra::RealField::atan2(y, z).to_degrees(),
+            pitch_deg: nalgebra::RealField::atan2(-x, across).to_degrees(),
+            yaw_deg: 0.0,
+        }
     }
 
     /// The direction up (z of `base_link`) in the axes of `imu`.
@@ -85,6 +109,25 @@ mod tests {
         assert!((on_its_side.up() - Vector3::y()).norm() < 1e-12);
         let yawed = ImuMount { yaw_deg: 77.0, ..level };
         assert!((yawed.up() - Vector3::z()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn gravity_at_rest_tells_roll_and_pitch_of_the_mount() {
+        for [roll_deg, pitch_deg] in [[0.0, 0.0], [180.0, 0.0], [90.0, 10.0], [-30.0, -60.0]] {
+            let mount = ImuMount { roll_deg, pitch_deg, yaw_deg: 25.0 };
+            let found = ImuMount::of_force((9.81 * mount.up()).into());
+            let level = ImuMount { yaw_deg: 0.0, ..mount };
+            assert!((found.up() - level.up()).norm() < 1e-9, "{found:?}");
+            assert!((found.pitch_deg - pitch_deg).abs() < 1e-9, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn a_rotation_about_the_axis_that_points_up_is_a_yaw_of_the_robot() {
+        let mount = ImuMount { roll_deg: 90.0, ..ImuMount::default() };
+        let sample = ImuSample { time_ns: 7, angular_radps: [0.0, 0.5, 0.0], force_mps2: None };
+        let rotated = sample.rotated(&mount.rotation());
+        assert!((rotated.angular_radps[2] - 0.5).abs() < 1e-12, "{rotated:?}");
     }
 
     #[test]

@@ -12,7 +12,7 @@ use drivers::{DeviceState, DeviceStatus, Port};
 use hal::{Base, Camera, CameraModel, Clock, ErrorKind, Frame, LaserScan, Lidar};
 use monotonic_clock::MonotonicClock;
 
-use super::nearby;
+use super::{imu, nearby};
 use crate::config::Config;
 
 /// A device that does not work after this time is not usable.
@@ -39,7 +39,7 @@ pub struct Finding {
 }
 
 impl Finding {
-    fn usable(device: &'static str, path: String, details: String) -> Self {
+    pub fn usable(device: &'static str, path: String, details: String) -> Self {
         Self {
             device,
             path,
@@ -50,7 +50,7 @@ impl Finding {
         }
     }
 
-    fn unusable(
+    pub fn unusable(
         device: &'static str,
         path: String,
         state: DeviceState,
@@ -67,7 +67,7 @@ impl Finding {
         }
     }
 
-    fn advise(mut self, advice: Option<String>) -> Self {
+    pub fn advise(mut self, advice: Option<String>) -> Self {
         self.advice.extend(advice);
         self
     }
@@ -79,12 +79,14 @@ pub fn test_all(config: &Config) -> Vec<Finding> {
     std::thread::scope(|scope| {
         let camera = scope.spawn(|| test_camera(&devices.camera));
         let lidar = scope.spawn(|| test_lidar(&devices.lidar));
+        let imu = scope.spawn(|| imu::test(&devices.imu));
         let base = test_base(&devices.base);
         let mut findings = vec![
             camera.join().unwrap_or_else(|_| panicked("camera")),
             lidar.join().unwrap_or_else(|_| panicked("LiDAR")),
             base,
         ];
+        findings.extend(imu.join().unwrap_or_else(|_| Some(panicked("IMU"))));
         findings.extend(test_stop_line(&devices.emergency_stop));
         findings
     })
@@ -96,7 +98,7 @@ fn panicked(device: &'static str) -> Finding {
 }
 
 /// Polls a device at the rate of the safety loop, until it has worked for a second or the time is over.
-fn measure(mut poll: impl FnMut() -> DeviceStatus) -> Measured {
+pub fn measure(mut poll: impl FnMut() -> DeviceStatus) -> Measured {
     let mut clock = MonotonicClock;
     let begin_ns = clock.now_ns();
     let mut working: Option<(u64, u64)> = None;
@@ -116,9 +118,9 @@ fn measure(mut poll: impl FnMut() -> DeviceStatus) -> Measured {
     }
 }
 
-struct Measured {
-    status: DeviceStatus,
-    rate_hz: f64,
+pub struct Measured {
+    pub status: DeviceStatus,
+    pub rate_hz: f64,
 }
 
 fn test_camera(config: &CameraDeviceConfig) -> Finding {
@@ -337,7 +339,7 @@ fn prefer_stable_name(name: &Path) -> String {
     )
 }
 
-fn state_of(error: &impl hal::Error) -> DeviceState {
+pub fn state_of(error: &impl hal::Error) -> DeviceState {
     match error.kind() {
         ErrorKind::Disconnected => DeviceState::Disconnected,
         ErrorKind::Timeout => DeviceState::Silent,

@@ -2,6 +2,7 @@
 
 mod devices;
 mod drive;
+mod imu;
 pub(crate) mod nearby;
 mod speed;
 mod view;

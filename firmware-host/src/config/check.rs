@@ -213,6 +213,7 @@ pub(super) fn devices(config: &Config) -> Vec<Problem> {
         ("devices.lidar", devices.lidar.validate().map_err(|error| error.to_string())),
         ("safety", scans_arrive_in_time(config)),
         ("devices.base", devices.base.validate().map_err(|error| error.to_string())),
+        ("devices.imu", devices.imu.validate().map_err(|error| error.to_string())),
         (
             "devices.emergency_stop",
             devices.emergency_stop.validate().map_err(|error| error.to_string()),

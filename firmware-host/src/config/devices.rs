@@ -1,6 +1,7 @@
 //! `[run]` and `[devices]`: what only a real robot has.
 
 use drivers::can::BaseConfig;
+use drivers::iio::ImuConfig;
 use drivers::lidar::LidarConfig;
 use drivers::stop_line::StopLineConfig;
 use drivers::v4l2::CameraDeviceConfig;
@@ -60,6 +61,7 @@ hal::settings! {
         lens: LensSection;
         lidar: LidarConfig;
         base: BaseConfig;
+        imu: ImuConfig;
         emergency_stop: StopLineConfig;
     }
 }

@@ -7,10 +7,11 @@ const STARTS_WITHIN_S: f64 = 2.0;
 /// A device is reported at most this often, seconds: one with a loose contact must not fill the log.
 const EVERY_S: f64 = 10.0;
 
-/// What the log says about the three devices.
+/// What the log says about the devices.
 #[derive(Debug, Default)]
 pub struct DeviceLog {
-    reported: [Reported; 3],
+    /// Camera, scanner, base, and the inertial unit if there is one.
+    reported: [Reported; 4],
 }
 
 #[derive(Debug)]
@@ -29,7 +30,11 @@ impl Default for Reported {
 
 impl DeviceLog {
     /// Sentences about the devices whose state differs from what was reported last.
-    pub fn changes(&mut self, devices: [&DeviceHealth; 3], uptime_s: f64) -> Vec<String> {
+    pub fn changes<'a>(
+        &mut self,
+        devices: impl IntoIterator<Item = &'a DeviceHealth>,
+        uptime_s: f64,
+    ) -> Vec<String> {
         self.reported
             .iter_mut()
             .zip(devices)

@@ -3,6 +3,7 @@
 use anyhow::{Context, Result};
 use drivers::can::{CanBus, DifferentialBase, Phase, open_bus};
 use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyLidar};
+use drivers::iio::IioImu;
 use drivers::lidar::AnyLidar;
 use drivers::stop_line::{StopLine, StopLineMonitor};
 use drivers::v4l2::V4l2Camera;
@@ -35,6 +36,14 @@ pub fn open_camera(config: &Config, faults: &Faults) -> Result<FaultyCamera<V4l2
     let model = devices.camera_model().map_err(anyhow::Error::msg).context("[devices.lens]")?;
     let camera = V4l2Camera::new(&devices.camera, model).context("[devices.camera]")?;
     Ok(FaultyCamera::new(camera, faults))
+}
+
+/// Starts the driver of the inertial measurement unit, if the robot has one.
+///
+/// # Errors
+/// The driver refuses the configuration.
+pub fn open_imu(config: &Config) -> Result<Option<IioImu>> {
+    IioImu::open(&config.devices.imu).context("[devices.imu]")
 }
 
 /// Starts the drivers of the scanner, the base and the emergency stop's line.

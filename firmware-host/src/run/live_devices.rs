@@ -1,17 +1,19 @@
-//! The exploration loop's devices on a real robot: the monotonic clock and the camera.
+//! The exploration loop's devices on a real robot: the monotonic clock, the camera, and an inertial measurement unit if there is one.
 
 use anyhow::{Context, Result};
 use drivers::DeviceStatus;
 use drivers::fault::{FaultyCamera, FaultyClock};
+use drivers::iio::IioImu;
 use drivers::v4l2::V4l2Camera;
-use hal::{Camera, Clock, Frame, ImageView};
+use hal::{Camera, Clock, Frame, ImageView, Imu, ImuSample};
 use monotonic_clock::MonotonicClock;
+use nalgebra::UnitQuaternion;
 use runtime::imaging::{FrontEnd, YuvRange};
 use runtime::session::Devices;
 
 use crate::config::Config;
 
-/// Clock and camera. Frames are converted to the size that perception works on.
+/// Clock, camera and inertial unit. Frames are converted to the size that perception works on, samples to the axes of `base_link`.
 pub struct LiveDevices<C = FaultyCamera<V4l2Camera>> {
     clock: FaultyClock<MonotonicClock>,
     camera: C,
@@ -19,6 +21,8 @@ pub struct LiveDevices<C = FaultyCamera<V4l2Camera>> {
     frame: Frame,
     rgb: Vec<u8>,
     problem: Option<String>,
+    imu: Option<IioImu>,
+    imu_rotation: UnitQuaternion<f64>,
 }
 
 impl LiveDevices {
@@ -34,7 +38,12 @@ impl<C: Camera> LiveDevices<C> {
     ///
     /// # Errors
     /// When the camera's frames cannot be converted to those that perception works on.
-    pub fn new(config: &Config, clock: FaultyClock<MonotonicClock>, camera: C) -> Result<Self> {
+    pub fn new(
+        config: &Config,
+        clock: FaultyClock<MonotonicClock>,
+        camera: C,
+        imu: Option<IioImu>,
+    ) -> Result<Self> {
         let source = *camera.model();
         let target = config.camera.model();
         let format = config.devices.camera.format.pixels();
@@ -42,7 +51,16 @@ impl<C: Camera> LiveDevices<C> {
             "[devices.lens] and [camera]: the camera's frames cannot be converted to those that perception works on",
         )?;
         let rgb = vec![0; 3 * target.width * target.height];
-        Ok(Self { clock, camera, front_end, frame: Frame::empty(), rgb, problem: None })
+        Ok(Self {
+            clock,
+            camera,
+            front_end,
+            frame: Frame::empty(),
+            rgb,
+            problem: None,
+            imu,
+            imu_rotation: config.devices.imu.mount().rotation(),
+        })
     }
 
     fn convert(&mut self) -> Result<(), String> {
@@ -78,6 +96,12 @@ impl<C: Camera> Devices for LiveDevices<C> {
     fn frame(&self) -> Option<ImageView<'_>> {
         let target = self.front_end.target();
         ImageView::rgb8(target.width, target.height, &self.rgb).ok()
+    }
+
+    fn poll_imu(&mut self) -> Option<ImuSample> {
+        // What is wrong with the unit is shown by its monitor.
+        let sample = self.imu.as_mut()?.poll_sample().ok()??;
+        Some(sample.rotated(&self.imu_rotation))
     }
 }
 
@@ -134,7 +158,7 @@ mod tests {
         let script = Script { model, answers: answers.into() };
         let faults = Faults::new(Vec::new(), 1, Arc::new(|| 0));
         let clock = FaultyClock::new(MonotonicClock, &faults);
-        let mut devices = LiveDevices::new(&config, clock, script).unwrap();
+        let mut devices = LiveDevices::new(&config, clock, script, None).unwrap();
         let mut problems = Vec::new();
         let times = [(); 5].map(|()| {
             let time_ns = devices.poll_frame();

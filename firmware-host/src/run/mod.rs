@@ -27,6 +27,7 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
 use drivers::fault::{Faults, FaultyClock};
+use drivers::iio::IioImu;
 use monotonic_clock::MonotonicClock;
 use monotonic_clock::monotonic_ns;
 use runtime::event::ExploreEnd;
@@ -122,6 +123,8 @@ pub fn run(args: &RunArgs, arming: Arming) -> Result<ExploreEnd> {
     let recorder =
         if args.no_recording { None } else { Some(recorder(out, &config, header, key, &faults)?) };
     let camera = devices::open_camera(&config, &faults)?;
+    let imu = devices::open_imu(&config)?;
+    let imu_monitor = imu.as_ref().map(IioImu::monitor);
     let pace =
         Pace { period_ns: config.safety_period_ns(), priority: config.run.realtime_priority };
     let wiring = config.clone();
@@ -129,7 +132,7 @@ pub fn run(args: &RunArgs, arming: Arming) -> Result<ExploreEnd> {
     let (mut safety, port, monitors) =
         SafetyThread::start(pace, move || devices::open_for_safety(&wiring, &wiring_faults))?;
     let clock = FaultyClock::new(MonotonicClock, &faults);
-    let devices = LiveDevices::new(&config, clock, camera)?;
+    let devices = LiveDevices::new(&config, clock, camera, imu)?;
     let models =
         start.map(|(keeper, start)| LiveModels::threaded(keeper, start, &config)).transpose()?;
     let mut exploration = Exploration::new(&config, devices, robot, port, recorder, models);
@@ -144,7 +147,7 @@ pub fn run(args: &RunArgs, arming: Arming) -> Result<ExploreEnd> {
     exploration.log.live = view;
     let stop_file = StopFile::open(config.run.stop_file.as_ref());
     let operator = Operator::start(safety.panel.clone(), stop_file)?;
-    let mut supervision = Supervision::new(args, out, &config, monitors, &operator);
+    let mut supervision = Supervision::new(args, out, &config, monitors, imu_monitor, &operator);
     match (&operator.last_stop, arming) {
         (_, Arming::Confirmed) => safety.panel.arm(),
         (None, Arming::Configured) if config.run.arm_at_start => safety.panel.arm(),

@@ -34,6 +34,9 @@ pub struct Status {
     pub lidar: DeviceHealth,
     /// State of the base.
     pub base: DeviceHealth,
+    /// State of the inertial measurement unit; absent without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub imu: Option<DeviceHealth>,
     /// The emergency stop on an input line of the computer; absent without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stop_line: Option<StopLineStatus>,
@@ -261,6 +264,11 @@ impl Status {
         })
     }
 
+    /// All devices with readings.
+    pub fn devices(&self) -> impl Iterator<Item = &DeviceHealth> {
+        [&self.camera, &self.lidar, &self.base].into_iter().chain(&self.imu)
+    }
+
     /// How a person lets the robot move, if it stands only because it has not been armed yet.
     #[must_use]
     pub fn arming(&self) -> Option<String> {
@@ -285,9 +293,7 @@ impl Status {
                 self.pid
             ));
         }
-        worries.extend(
-            [&self.camera, &self.lidar, &self.base].into_iter().filter_map(DeviceHealth::worry),
-        );
+        worries.extend(self.devices().filter_map(DeviceHealth::worry));
         worries.extend(self.stop_line.as_ref().and_then(|line| line.problem.clone()));
         if self.safety.needs_person {
             let SafetyStatus { state, last_stop, .. } = &self.safety;

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use drivers::DeviceState;
 use drivers::can::Phase;
+use drivers::iio::ImuMonitor;
 use monotonic_clock::monotonic_ns;
 use runtime::event::FaultReason;
 use runtime::recording::fault_reason;
@@ -33,13 +34,15 @@ const EVERY_NS: u64 = 500_000_000;
 pub struct Supervision {
     file: PathBuf,
     folder: Option<String>,
-    names: [String; 3],
+    names: [String; 4],
     bus: String,
     hot_c: f64,
     /// Chip and line of the emergency stop.
     stop_line: String,
     monitors: Monitors,
-    meters: [RateMeter; 3],
+    /// The inertial measurement unit, if there is one.
+    imu: Option<ImuMonitor>,
+    meters: [RateMeter; 4],
     began_ns: u64,
     due_ns: u64,
     heartbeat: Heartbeat,
@@ -59,6 +62,7 @@ impl Supervision {
         out: &Path,
         config: &Config,
         monitors: Monitors,
+        imu: Option<ImuMonitor>,
         operator: &Operator,
     ) -> Self {
         let file = args.status.clone().unwrap_or_else(|| PathBuf::from(&config.run.status_file));
@@ -74,12 +78,14 @@ impl Supervision {
                 format!("camera {}", devices.camera.device),
                 format!("LiDAR {}", devices.lidar.port),
                 format!("base {}", devices.base.bus),
+                format!("IMU {}", devices.imu.device),
             ],
             bus: devices.base.bus.clone(),
             hot_c: config.safety.hot_c,
             stop_line: devices.emergency_stop.place(),
             monitors,
-            meters: [RateMeter::default(); 3],
+            imu,
+            meters: [RateMeter::default(); 4],
             began_ns: monotonic_ns(),
             due_ns: 0,
             heartbeat: Heartbeat::default(),
@@ -134,8 +140,7 @@ impl Supervision {
             let _ = sd_notify::notify(&[NotifyState::Watchdog]);
         });
         let status = self.status(&safety_status, safety.realtime, exploration, now_ns);
-        let devices = [&status.camera, &status.lidar, &status.base];
-        for change in self.devices.changes(devices, status.uptime_s) {
+        for change in self.devices.changes(status.devices(), status.uptime_s) {
             tracing::warn!("{change}");
         }
         if let Some(live) = &mut exploration.log.live {
@@ -156,7 +161,7 @@ impl Supervision {
         now_ns: u64,
     ) -> Status {
         let (camera, camera_problem) = exploration.camera();
-        let [camera_meter, lidar_meter, base_meter] = &mut self.meters;
+        let [camera_meter, lidar_meter, base_meter, imu_meter] = &mut self.meters;
         let base_problem = match (safety.phase, safety.base.state) {
             (Phase::Tripped(trip), _) => Some(trip.to_string()),
             (_, DeviceState::Disconnected) => Some(no_bus(&self.bus)),
@@ -198,6 +203,10 @@ impl Supervision {
                 self.monitors.lidar.problem(),
             ),
             base: base_meter.health(&self.names[2], &safety.base, now_ns, base_problem),
+            imu: self
+                .imu
+                .as_ref()
+                .map(|imu| imu_meter.health(&self.names[3], &imu.status(), now_ns, imu.problem())),
             stop_line: self.monitors.stop_line.as_ref().map(|line| StopLineStatus {
                 place: self.stop_line.clone(),
                 is_pressed: line.is_pressed(),
