@@ -6,6 +6,8 @@ pub enum Device {
     Camera,
     Lidar,
     Base,
+    /// The inertial measurement unit.
+    Imu,
     /// The clock that wakes the control loop.
     Clock,
     /// The disk to which the run is recorded.
@@ -24,7 +26,7 @@ pub enum Kind {
     /// A share of the readings arrives after the reading that follows it.
     Reorder,
     /// A share is corrupt: the end of a frame or the beams of a scan hold random values; the base's
-    /// feedback fails its checksum.
+    /// feedback fails its checksum; all values of a sample are random.
     Corrupt,
     /// No reading arrives, which the driver reports after 100 ms. The base still receives commands.
     Stall,
@@ -51,6 +53,8 @@ pub enum Kind {
     Jump,
     /// The base reports contact, as with a bumper switch that is stuck.
     Contact,
+    /// The angular velocities about all axes are wrong by a number of rad/s, as after a change of temperature.
+    Bias,
     /// Every tick of the control loop, or every write to the disk, is late by a number of
     /// milliseconds.
     Slow,
@@ -66,6 +70,7 @@ pub(super) enum Amount {
     Readings,
     Metres,
     Degrees,
+    RadiansPerSecond,
     Milliseconds,
 }
 
@@ -74,7 +79,8 @@ const MAX_DELAY: f64 = 50.0;
 const MAX_SLOW_MS: f64 = 10_000.0;
 
 impl Device {
-    pub const ALL: [Self; 5] = [Self::Camera, Self::Lidar, Self::Base, Self::Clock, Self::Disk];
+    pub const ALL: [Self; 6] =
+        [Self::Camera, Self::Lidar, Self::Base, Self::Imu, Self::Clock, Self::Disk];
 
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -82,6 +88,7 @@ impl Device {
             Self::Camera => "camera",
             Self::Lidar => "lidar",
             Self::Base => "base",
+            Self::Imu => "imu",
             Self::Clock => "clock",
             Self::Disk => "disk",
         }
@@ -102,6 +109,7 @@ pub fn kinds_of(device: Device) -> &'static [Kind] {
         Device::Base => {
             &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Nan, Jump, Contact]
         }
+        Device::Imu => &[Delay, Drop, Duplicate, Reorder, Corrupt, Stall, Unplug, Bias],
         Device::Clock => &[Slow],
         Device::Disk => &[Slow, Full, Unplug],
     }
@@ -128,6 +136,7 @@ impl Kind {
             Self::Nan => "nan",
             Self::Jump => "jump",
             Self::Contact => "contact",
+            Self::Bias => "bias",
             Self::Slow => "slow",
             Self::Full => "full",
         }
@@ -144,6 +153,7 @@ impl Kind {
             Self::Delay => Amount::Readings,
             Self::Jump => Amount::Metres,
             Self::Dirt => Amount::Degrees,
+            Self::Bias => Amount::RadiansPerSecond,
             Self::Slow => Amount::Milliseconds,
             _ => Amount::None,
         }
@@ -159,6 +169,7 @@ impl Amount {
             Self::Readings => "a whole number of readings from 1 to 50",
             Self::Metres => "a distance in metres other than 0",
             Self::Degrees => "degrees above 0 and up to 180",
+            Self::RadiansPerSecond => "an angular velocity in rad/s other than 0",
             Self::Milliseconds => "milliseconds above 0 and up to 10000",
         }
     }
@@ -168,18 +179,19 @@ impl Amount {
             Self::None => false,
             Self::Share => amount > 0.0 && amount <= 1.0,
             Self::Readings => amount.fract() == 0.0 && (1.0..=MAX_DELAY).contains(&amount),
-            Self::Metres => amount.is_finite() && amount != 0.0,
+            Self::Metres | Self::RadiansPerSecond => amount.is_finite() && amount != 0.0,
             Self::Degrees => amount > 0.0 && amount <= 180.0,
             Self::Milliseconds => amount > 0.0 && amount <= MAX_SLOW_MS,
         }
     }
 
-    /// The amount when the text gives none: every reading, three readings, one metre, 45 degrees to each side, 50 ms.
+    /// The amount when the text gives none: every reading, three readings, one metre, 45 degrees to each side, 0.1 rad/s, 50 ms.
     pub(super) fn default_amount(self) -> f64 {
         match self {
             Self::None | Self::Share | Self::Metres => 1.0,
             Self::Readings => 3.0,
             Self::Degrees => 45.0,
+            Self::RadiansPerSecond => 0.1,
             Self::Milliseconds => 50.0,
         }
     }

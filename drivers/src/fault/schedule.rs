@@ -19,7 +19,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// The amount: a share, a number of readings, metres, degrees or milliseconds, depending on the kind.
+    /// The amount: a share, a number of readings, metres, degrees, rad/s or milliseconds, depending on the kind.
     #[must_use]
     pub fn amount(&self) -> f64 {
         self.amount.unwrap_or_else(|| self.kind.unit().default_amount())

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use hal::{
-    Base, Camera, CameraModel, Clock, DriveCommand, Error, ErrorKind, ErrorType, Frame, LaserScan,
-    Lidar, PixelFormat, Range, ScanGeometry, Twist2, VirtualClock, WheelFeedback,
+    Base, Camera, CameraModel, Clock, DriveCommand, Error, ErrorKind, ErrorType, Frame, Imu,
+    ImuSample, LaserScan, Lidar, PixelFormat, Range, ScanGeometry, Twist2, VirtualClock,
+    WheelFeedback,
 };
 use proptest::prelude::*;
 
@@ -23,7 +24,7 @@ fn faults(texts: &[&str], seed: u64) -> (Faults, Time) {
     (Faults::new(faults, seed, Arc::new(move || now.load(Ordering::Relaxed))), time)
 }
 
-/// A camera, scanner and base that has a new reading whenever the time has changed.
+/// A camera, scanner, base and inertial measurement unit that has a new reading whenever the time has changed.
 struct Device25ms {
     time: Time,
     last_ns: Option<u64>,
@@ -104,6 +105,15 @@ impl Base for Device25ms {
     }
 }
 
+const STILL: ImuSample =
+    ImuSample { time_ns: 0, angular_radps: [0.0; 3], force_mps2: Some([0.0, 0.0, 9.8]) };
+
+impl Imu for Device25ms {
+    fn poll_sample(&mut self) -> Result<Option<ImuSample>, Infallible> {
+        Ok(self.new_reading().map(|time_ns| ImuSample { time_ns, ..STILL }))
+    }
+}
+
 /// The result of one poll: the tick in which the returned reading was taken, no reading, or an
 /// error.
 type Polled = Result<Option<u64>, ErrorKind>;
@@ -112,27 +122,32 @@ fn polled<E: Error>(result: Result<Option<u64>, E>) -> Polled {
     result.map(|time| time.map(|time_ns| time_ns / TICK_NS)).map_err(|error| error.kind())
 }
 
-/// Polls all three devices with the same fault once per tick. They must agree, because all of them
+/// Polls all four devices with the same fault once per tick. They must agree, because all of them
 /// have this kind of fault.
 fn poll_ticks(kind: &str, count: u64) -> Vec<Polled> {
     let (lidar_faults, lidar_time) = faults(&[&format!("lidar:{kind}")], 1);
     let (camera_faults, camera_time) = faults(&[&format!("camera:{kind}")], 1);
     let (base_faults, base_time) = faults(&[&format!("base:{kind}")], 1);
+    let (imu_faults, imu_time) = faults(&[&format!("imu:{kind}")], 1);
     let mut lidar = FaultyLidar::new(Device25ms::new(&lidar_time), &lidar_faults);
     let mut camera = FaultyCamera::new(Device25ms::new(&camera_time), &camera_faults);
     let mut base = FaultyBase::new(Device25ms::new(&base_time), &base_faults);
+    let mut imu = FaultyImu::new(Device25ms::new(&imu_time), &imu_faults);
     let mut scan = LaserScan::empty(ScanGeometry::UTM_30LX);
     let mut frame = Frame::empty();
     let mut results = Vec::new();
     for tick in 0..count {
-        for time in [&lidar_time, &camera_time, &base_time] {
+        for time in [&lidar_time, &camera_time, &base_time, &imu_time] {
             time.store(tick * TICK_NS, Ordering::Relaxed);
         }
         let of_lidar = polled(lidar.poll_scan(&mut scan).map(|new| new.then_some(scan.time_ns)));
         let of_camera =
             polled(camera.poll_frame(&mut frame).map(|new| new.then_some(frame.time_ns)));
         let of_base = polled(base.poll_feedback().map(|wheel| wheel.map(|wheel| wheel.time_ns)));
-        assert_eq!((&of_lidar, &of_lidar), (&of_camera, &of_base), "tick {tick}");
+        let of_imu = polled(imu.poll_sample().map(|sample| sample.map(|sample| sample.time_ns)));
+        for of_other in [of_camera, of_base, of_imu] {
+            assert_eq!(of_other, of_lidar, "tick {tick}");
+        }
         results.push(of_lidar);
     }
     results
@@ -232,6 +247,46 @@ fn wheel_feedback_has_the_injected_nan_jump_and_contact() {
     assert_eq!(well, WheelFeedback { time_ns: 2_500_000_000, ..WheelFeedback::default() });
 }
 
+fn one_sample(text: &str) -> ImuSample {
+    let (faults, time) = faults(&[text], 3);
+    FaultyImu::new(Device25ms::new(&time), &faults).poll_sample().unwrap().unwrap()
+}
+
+#[test]
+fn a_unit_with_a_bias_is_wrong_by_it_about_every_axis_and_a_corrupt_sample_is_random() {
+    assert_eq!(one_sample("imu:bias=-0.25"), ImuSample { angular_radps: [-0.25; 3], ..STILL });
+    assert_eq!(one_sample("imu:bias"), ImuSample { angular_radps: [0.1; 3], ..STILL });
+    let corrupt = one_sample("imu:corrupt");
+    assert!(corrupt.angular_radps.iter().all(|radps| *radps != 0.0 && radps.abs() <= 35.0));
+    assert!(corrupt.force_mps2.unwrap().iter().all(|mps2| mps2.abs() <= 157.0));
+}
+
+/// A unit with five samples at once.
+struct Burst(u64);
+
+impl ErrorType for Burst {
+    type Error = Infallible;
+}
+
+impl Imu for Burst {
+    fn poll_sample(&mut self) -> Result<Option<ImuSample>, Infallible> {
+        self.0 += 1;
+        Ok((self.0 <= 5).then_some(ImuSample { time_ns: self.0, ..STILL }))
+    }
+}
+
+#[test]
+fn a_lost_sample_does_not_hide_those_that_wait_behind_it() {
+    let (faults, _) = faults(&["imu:drop=0.5"], 1);
+    let mut imu = FaultyImu::new(Burst(0), &faults);
+    let mut times = Vec::new();
+    while let Some(sample) = imu.poll_sample().unwrap() {
+        times.push(sample.time_ns);
+    }
+    assert_eq!(imu.inner().0, 6, "all of them were taken");
+    assert!((1..5).contains(&times.len()) && times.is_sorted(), "{times:?}");
+}
+
 fn one_scan(text: &str) -> LaserScan {
     let (faults, time) = faults(&[text], 3);
     let mut lidar = FaultyLidar::new(Device25ms::new(&time), &faults);
@@ -314,12 +369,14 @@ fn every_fault(device: Device) -> Vec<String> {
 }
 
 #[test]
-fn polling_a_wrapped_scanner_or_base_does_not_allocate() {
-    let texts = [every_fault(Device::Lidar), every_fault(Device::Base)].concat();
+fn polling_a_wrapped_scanner_base_or_inertial_unit_does_not_allocate() {
+    let texts =
+        [every_fault(Device::Lidar), every_fault(Device::Base), every_fault(Device::Imu)].concat();
     for text in &texts {
         let (faults, time) = faults(&[text], 1);
         let mut lidar = FaultyLidar::new(Device25ms::new(&time), &faults);
         let mut base = FaultyBase::new(Device25ms::new(&time), &faults);
+        let mut imu = FaultyImu::new(Device25ms::new(&time), &faults);
         let mut scan = LaserScan::empty(lidar.geometry());
         let mut copy = scan.clone();
         copy.ranges.reserve(scan.geometry.beams);
@@ -329,6 +386,7 @@ fn polling_a_wrapped_scanner_or_base_does_not_allocate() {
                 let _ = lidar.poll_scan(&mut scan);
                 copy.clone_from(&scan);
                 let _ = base.poll_feedback();
+                let _ = imu.poll_sample();
                 let _ =
                     base.drive(&DriveCommand { twist: Twist2::ZERO, counter: 1, plan_age_ns: 0 });
             }
@@ -366,6 +424,7 @@ fn a_text_that_is_no_fault_is_refused_with_the_possible_ones() {
         ("lidar:dirt=200", "degrees above 0 and up to 180"),
         ("lidar:dirt=nan", "degrees above 0 and up to 180"),
         ("disk:slow=-1", "milliseconds"),
+        ("imu:bias=0", "an angular velocity in rad/s other than 0"),
         ("lidar:stall@6..4", "`@6..4` is not a time window"),
         ("lidar:stall@4", "@4..6, @4.. or @..6"),
         ("lidar:stall@nan..4", "is not a time window"),
@@ -425,11 +484,8 @@ fn amounts_are_printed_and_the_default_ones_are_as_documented() {
         assert_eq!(text.parse::<Fault>().unwrap().to_string(), text);
     }
     assert_eq!(
-        ["lidar:drop", "camera:delay", "base:jump", "lidar:dirt", "clock:slow"].map(|text| text
-            .parse::<Fault>()
-            .unwrap()
-            .amount()
-            .to_string()),
-        ["1", "3", "1", "45", "50"]
+        ["lidar:drop", "camera:delay", "base:jump", "lidar:dirt", "imu:bias", "clock:slow"]
+            .map(|text| text.parse::<Fault>().unwrap().amount().to_string()),
+        ["1", "3", "1", "45", "0.1", "50"]
     );
 }
