@@ -42,7 +42,7 @@ impl Roots {
             (None, _) => Err(ImuError::Absent {
                 device: Arc::clone(name),
                 what: format!(
-                    "there is no such device in {}, only {}",
+                    "there is no such device in {} (there are: {})",
                     self.sysfs.display(),
                     list(&all)
                 ),

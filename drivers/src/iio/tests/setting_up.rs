@@ -141,7 +141,7 @@ fn what_cannot_be_used_is_named_with_the_way_out() {
     let _node = fake.gyroscope(&["x", "y", "z"]);
     let config = fake.config("gyro_3d");
     let absent = refusal(&fake, &fake.config("bmi160"));
-    assert!(absent.contains("IMU bmi160") && absent.contains("only `gyro_3d`"), "{absent}");
+    assert!(absent.contains("IMU bmi160") && absent.contains("there are: `gyro_3d`"), "{absent}");
     for (attribute, text, answer) in [
         ("in_anglvel_scale", "0.000000", "its units are unknown"),
         ("in_anglvel_scale", "fast", "in_anglvel_scale is `fast`"),
