@@ -3,6 +3,8 @@
 
 mod base;
 mod camera;
+mod hid_gyroscope;
+mod imu;
 mod lidar;
 
 use std::error::Error;
@@ -25,6 +27,8 @@ enum Probe {
     Lidar(lidar::LidarProbe),
     /// Check the base driver on SocketCAN.
     Base(base::BaseProbe),
+    /// Check the driver for inertial measurement units against a HID gyroscope.
+    Imu,
 }
 
 /// Runs one probe. Failed checks are reported on standard output, not by an error of this function.
@@ -36,6 +40,7 @@ pub fn run(args: &RigArgs) -> Result<(), Box<dyn Error>> {
         Probe::Camera(probe) => camera::run(probe),
         Probe::Lidar(probe) => lidar::run(probe),
         Probe::Base(probe) => base::run(probe),
+        Probe::Imu => imu::run(),
     }
 }
 

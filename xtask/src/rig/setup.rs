@@ -27,7 +27,7 @@ const PACKAGES: [&str; 12] = [
 ];
 
 /// Groups of kernel modules. The modules that they depend on are added.
-const MODULES: [(&str, &[&str]); 4] = [
+const MODULES: [(&str, &[&str]); 5] = [
     (
         "base",
         &["virtio_pci", "9pnet_virtio", "9p", "overlay", "virtio_console", "virtio_blk", "ext4"],
@@ -35,6 +35,7 @@ const MODULES: [(&str, &[&str]); 4] = [
     ("can", &["kvaser_pci", "can_raw", "vcan", "vxcan"]),
     ("video", &["vivid"]),
     ("serial", &["uhci_hcd", "ftdi_sio"]),
+    ("imu", &["uhid", "hid_sensor_hub", "hid_sensor_gyro_3d"]),
 ];
 
 /// Files of a kernel.
