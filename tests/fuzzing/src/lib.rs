@@ -15,6 +15,7 @@ mod buffer_wire;
 mod bundle;
 mod can;
 mod config;
+mod iio;
 mod ld06;
 mod live_view;
 mod localize_log;
@@ -34,6 +35,7 @@ pub use config::config;
 /// Arbitrary sequences of camera events: the driver follows the queue's rules and returns no stale
 /// frame.
 pub use hil::video::check_events as v4l2_queue;
+pub use iio::iio;
 pub use ld06::ld06;
 pub use live_view::live_view;
 pub use localize_log::localize_log;
@@ -50,11 +52,12 @@ pub use viewer::viewer;
 pub type Check = fn(&[u8]);
 
 /// All checks, by the name of their target and corpus.
-pub const TARGETS: [(&str, Check); 16] = [
+pub const TARGETS: [(&str, Check); 17] = [
     ("buffer_wire", buffer_wire),
     ("bundle", bundle),
     ("can", can),
     ("config", config),
+    ("iio", iio),
     ("ld06", ld06),
     ("live_view", live_view),
     ("localize_log", localize_log),

@@ -40,6 +40,11 @@ fn any_bytes_from_an_rplidar_are_handled() {
 }
 
 #[test]
+fn any_records_of_an_inertial_measurement_unit_are_handled() {
+    run_corpus("iio");
+}
+
+#[test]
 fn any_records_from_a_can_bus_are_handled() {
     run_corpus("can");
 }
