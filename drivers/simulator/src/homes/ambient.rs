@@ -1,6 +1,7 @@
 //! Baked ambient light of built-in homes: the open fraction of the room above a face, from a few
 //! fixed rays against the room's solids.
 
+use multiversion::multiversion;
 use rayon::prelude::*;
 
 use super::geometry::Rect;
@@ -16,6 +17,14 @@ const FLOOR: f32 = 0.3;
 const SMALL_M: f32 = 0.1;
 /// Rays over the hemisphere; enough for steps below 2/255 after weighting.
 const RAYS: usize = 24;
+/// Solids whose nearest corner is higher than this above a face's plane may occlude it, metres:
+/// half of the height at which rays start, so that rounding decides nothing.
+const CLEARANCE_M: f32 = LIFT_M / 2.0;
+/// Height above a face at which rays start, metres.
+const LIFT_M: f32 = 0.004;
+
+/// A number for each ray, side by side for vector registers.
+type OfRays = [f32; RAYS];
 
 /// Computes the light on the four corners of every quad, 0 to 1.
 pub fn bake(mesh: &Mesh, rooms: &[Room]) -> Vec<[f32; 4]> {
@@ -61,6 +70,10 @@ fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
 fn norm(a: [f32; 3]) -> f32 {
     a.iter().map(|v| v * v).sum::<f32>().sqrt()
 }
@@ -98,9 +111,10 @@ fn light(
     let b = cross(n, t);
     let center: [f32; 3] =
         std::array::from_fn(|i| quad.corners.iter().map(|c| c[i]).sum::<f32>() / 4.0);
-    let near: Vec<&Solid> = solids.iter().filter(|s| reachable(s, quad)).collect();
-    let inverse = directions
-        .map(|r| std::array::from_fn(|i| 1.0 / (r[0] * t[i] + r[1] * b[i] + r[2] * n[i])));
+    let near = occluders(quad, n, solids);
+    let inverse: [OfRays; 3] = std::array::from_fn(|i| {
+        directions.map(|r| 1.0 / (r[0] * t[i] + r[1] * b[i] + r[2] * n[i]))
+    });
     if quad.corners.iter().all(|c| norm(sub(*c, center)) < SMALL_M) {
         return [open_share(lifted(center, n), &inverse, &near, room, height); 4];
     }
@@ -118,58 +132,80 @@ fn light(
 }
 
 fn lifted(p: [f32; 3], normal: [f32; 3]) -> [f32; 3] {
-    std::array::from_fn(|i| p[i] + 0.004 * normal[i])
+    std::array::from_fn(|i| p[i] + LIFT_M * normal[i])
+}
+
+/// The solids that rays of at most [`REACH_M`] from a face with this normal may hit.
+fn occluders(quad: &Quad, normal: [f32; 3], solids: &[Solid]) -> Vec<Solid> {
+    let low: [f32; 3] =
+        std::array::from_fn(|i| quad.corners.iter().fold(f32::MAX, |low, c| low.min(c[i])));
+    let high: [f32; 3] =
+        std::array::from_fn(|i| quad.corners.iter().fold(f32::MIN, |high, c| high.max(c[i])));
+    let plane = quad.corners.iter().fold(f32::MAX, |low, c| low.min(dot(*c, normal)));
+    let is_near = |solid: &Solid| {
+        (0..3).all(|i| solid.min[i] < high[i] + REACH_M && solid.max[i] > low[i] - REACH_M)
+    };
+    let is_above = |solid: &Solid| {
+        let highest: [f32; 3] =
+            std::array::from_fn(|i| if normal[i] > 0.0 { solid.max[i] } else { solid.min[i] });
+        dot(highest, normal) > plane + CLEARANCE_M
+    };
+    solids.iter().filter(|solid| is_near(solid) && is_above(solid)).copied().collect()
 }
 
 /// Light at a point of a face: less where rays hit the room's solids within reach.
+#[multiversion(targets("x86_64+avx2"))]
 fn open_share(
     origin: [f32; 3],
-    inverse: &[[f32; 3]; RAYS],
-    near: &[&Solid],
+    inverse: &[OfRays; 3],
+    near: &[Solid],
     room: Rect,
     height: f32,
 ) -> f32 {
-    let blocked: f32 = inverse
-        .iter()
-        .map(|inverse| {
-            let out = exit(origin, inverse, room, height);
-            let hit = near.iter().fold(out, |hit, solid| hit.min(entry(origin, inverse, solid)));
-            (1.0 - hit / REACH_M).max(0.0)
-        })
-        .sum();
+    let mut hit = exits(origin, inverse, room, height);
+    for solid in near {
+        shorten_to_entries(&mut hit, origin, inverse, solid);
+    }
+    let blocked: f32 = hit.iter().map(|hit| (1.0 - hit / REACH_M).max(0.0)).sum();
     1.0 - (1.0 - FLOOR) * blocked / RAYS as f32
 }
 
-/// Whether a solid may occlude rays of at most [`REACH_M`] from a face.
-fn reachable(solid: &Solid, quad: &Quad) -> bool {
-    (0..3).all(|i| {
-        let (low, high) =
-            quad.corners.iter().fold((f32::MAX, f32::MIN), |(l, h), c| (l.min(c[i]), h.max(c[i])));
-        solid.min[i] < high + REACH_M && solid.max[i] > low - REACH_M
-    })
-}
-
-/// Distance at which a ray leaves the room through a wall, the floor or the ceiling.
-fn exit(origin: [f32; 3], inverse: &[f32; 3], room: Rect, height: f32) -> f32 {
+/// Distances at which rays leave the room through a wall, the floor or the ceiling.
+#[inline(always)]
+fn exits(origin: [f32; 3], inverse: &[OfRays; 3], room: Rect, height: f32) -> OfRays {
     let min = [room.min[0], room.min[1], 0.0];
     let max = [room.max[0], room.max[1], height];
-    (0..3).fold(REACH_M, |best, i| {
-        let side = if inverse[i] > 0.0 { max[i] } else { min[i] };
-        let t = (side - origin[i]) * inverse[i];
-        // A door lining lies outside of its room, so walls behind it do not limit its rays.
-        if t > 0.0 { best.min(t) } else { best }
-    })
+    let mut nearest = [REACH_M; RAYS];
+    for i in 0..3 {
+        for ray in 0..RAYS {
+            let side = if inverse[i][ray] > 0.0 { max[i] } else { min[i] };
+            let t = (side - origin[i]) * inverse[i][ray];
+            // A door lining lies outside of its room, so walls behind it do not limit its rays.
+            if t > 0.0 {
+                nearest[ray] = nearest[ray].min(t);
+            }
+        }
+    }
+    nearest
 }
 
-/// Distance at which a ray enters a solid; [`REACH_M`] where it does not or starts inside.
-fn entry(origin: [f32; 3], inverse: &[f32; 3], solid: &Solid) -> f32 {
-    let mut enter = f32::MIN;
-    let mut leave = f32::MAX;
+/// Ends rays where they enter a solid; not those that start inside.
+#[inline(always)]
+fn shorten_to_entries(hit: &mut OfRays, origin: [f32; 3], inverse: &[OfRays; 3], solid: &Solid) {
+    let mut enter = [f32::MIN; RAYS];
+    let mut leave = [f32::MAX; RAYS];
     for i in 0..3 {
-        let a = (solid.min[i] - origin[i]) * inverse[i];
-        let b = (solid.max[i] - origin[i]) * inverse[i];
-        enter = enter.max(a.min(b));
-        leave = leave.min(a.max(b));
+        let min = solid.min[i] - origin[i];
+        let max = solid.max[i] - origin[i];
+        for ray in 0..RAYS {
+            let a = min * inverse[i][ray];
+            let b = max * inverse[i][ray];
+            enter[ray] = enter[ray].max(a.min(b));
+            leave[ray] = leave[ray].min(a.max(b));
+        }
     }
-    if enter <= leave && enter > 0.0 { enter } else { REACH_M }
+    for ray in 0..RAYS {
+        let enters = (enter[ray] <= leave[ray]) & (enter[ray] > 0.0);
+        hit[ray] = hit[ray].min(if enters { enter[ray] } else { REACH_M });
+    }
 }
