@@ -1,7 +1,7 @@
 //! Images that are stretched over one face: paintings, views through windows, rugs, screens.
 
 use super::noise::{Field, hash};
-use super::{mix, scaled, square};
+use super::{lighter, mix, scaled, square};
 use crate::scene::Texture;
 
 const SIZE: usize = 256;
@@ -27,19 +27,21 @@ fn landscape(seed: u64, brush: &Field) -> Texture {
     let ridges = Field::fractal([SIZE, 8], [3, 8], 5, 0.5, seed ^ 53);
     let top = mix([120.0, 160.0, 205.0], [225.0, 180.0, 150.0], hash(seed, 1));
     let low = [236.0, 222.0, 200.0];
+    let far = [150.0, 165.0, 180.0];
+    let layers: [[f32; 3]; 5] = std::array::from_fn(|layer| {
+        let near = mix([58.0, 84.0, 52.0], [122.0, 92.0, 50.0], hash(seed, 2 + layer as u64));
+        mix(far, near, layer as f32 / 4.0)
+    });
     square(SIZE, |x, y| {
         let v = y as f32 / SIZE as f32;
         let mut color = mix(top, low, (v * 1.6).min(1.0));
-        for layer in 0..5_usize {
+        for (layer, ridge) in layers.iter().enumerate() {
             let crest = 0.34 + 0.13 * layer as f32 + 0.05 * ridges.at(x, layer);
             if v > crest {
-                let far = [150.0, 165.0, 180.0];
-                let near =
-                    mix([58.0, 84.0, 52.0], [122.0, 92.0, 50.0], hash(seed, 2 + layer as u64));
-                color = mix(far, near, layer as f32 / 4.0);
+                color = *ridge;
             }
         }
-        color.map(|c| c + 9.0 * brush.at(x, y))
+        lighter(color, 9.0 * brush.at(x, y))
     })
 }
 
@@ -47,11 +49,13 @@ fn color_fields(seed: u64, brush: &Field) -> Texture {
     let wobble = Field::fractal([SIZE, SIZE], [3, 3], 3, 0.6, seed ^ 54);
     let boxes: Vec<[f32; 4]> =
         (0..9).map(|i| std::array::from_fn(|k| hash(seed ^ 55, i * 4 + k as u64))).collect();
+    let pigments: Vec<[f32; 3]> = (0..9).map(|i| pigment(seed, i)).collect();
+    let ground = pigment(seed, 20);
     square(SIZE, |x, y| {
         let u = x as f32 / SIZE as f32;
         let v = y as f32 / SIZE as f32 + 0.012 * wobble.at(x, y);
-        let top = boxes.iter().rposition(|it| is_inside_box(it, u, v)).map_or(20, |i| i as u64);
-        pigment(seed, top).map(|c| c + 10.0 * brush.at(x, y))
+        let top = boxes.iter().rposition(|it| is_inside_box(it, u, v));
+        lighter(top.map_or(ground, |top| pigments[top]), 10.0 * brush.at(x, y))
     })
 }
 
@@ -61,28 +65,51 @@ fn is_inside_box(b: &[f32; 4], u: f32, v: f32) -> bool {
 
 fn flowers(seed: u64, brush: &Field) -> Texture {
     let ground = pigment(seed, 30);
+    let vase = pigment(seed, 31);
+    let blossoms: Vec<Blossom> = (0..26).map(|i| Blossom::new(seed, i)).collect();
     square(SIZE, |x, y| {
         let u = x as f32 / SIZE as f32;
         let v = y as f32 / SIZE as f32;
         let mut color = scaled(ground, 1.1 - 0.5 * v);
         if v > 0.72 && (u - 0.5).abs() < 0.16 - 0.2 * (v - 0.86).abs() {
-            color = pigment(seed, 31);
+            color = vase;
         }
-        for i in 0..26 {
-            let cx = 0.5 + 0.62 * (hash(seed, 60 + i) - 0.5);
-            let cy = 0.4 + 0.56 * (hash(seed, 90 + i) - 0.5);
-            let r = (u - cx).hypot(v - cy);
-            let r_max = 0.03 + 0.05 * hash(seed, 120 + i);
-            if r < r_max {
-                color = mix(
-                    pigment(seed, 32 + i % 4).map(|c| c + 40.0),
-                    [60.0, 70.0, 40.0],
-                    r / r_max * 0.6,
-                );
-            }
-        }
-        color.map(|c| c + 8.0 * brush.at(x, y))
+        let blossom = blossoms.iter().rev().find_map(|blossom| blossom.color(u, v));
+        lighter(blossom.unwrap_or(color), 8.0 * brush.at(x, y))
     })
+}
+
+/// A round flower of a bunch.
+struct Blossom {
+    centre: [f32; 2],
+    radius: f32,
+    pigment: [f32; 3],
+}
+
+impl Blossom {
+    fn new(seed: u64, i: u64) -> Self {
+        Self {
+            centre: [
+                0.5 + 0.62 * (hash(seed, 60 + i) - 0.5),
+                0.4 + 0.56 * (hash(seed, 90 + i) - 0.5),
+            ],
+            radius: 0.03 + 0.05 * hash(seed, 120 + i),
+            pigment: lighter(pigment(seed, 32 + i % 4), 40.0),
+        }
+    }
+
+    /// `None` beside the flower.
+    fn color(&self, u: f32, v: f32) -> Option<[f32; 3]> {
+        let dx = u - self.centre[0];
+        let dy = v - self.centre[1];
+        // Before the root, which takes longer than all the rest of the image.
+        if dx.abs() > self.radius || dy.abs() > self.radius {
+            return None;
+        }
+        let r = dx.hypot(dy);
+        let middle = [60.0, 70.0, 40.0];
+        (r < self.radius).then(|| mix(self.pigment, middle, r / self.radius * 0.6))
+    }
 }
 
 /// Sky, a far line of trees or roofs, and a hedge.
@@ -102,9 +129,9 @@ pub fn view(version: u8, seed: u64) -> Texture {
         let house = hash(seed, (x / 32) as u64);
         let roofs = 0.52 - 0.12 * house;
         if v > 0.8 + 0.03 * crowns.at(x, 2) {
-            [104.0, 128.0, 84.0].map(|c| c + 14.0 * leaves.at(x, y))
+            lighter([104.0, 128.0, 84.0], 14.0 * leaves.at(x, y))
         } else if v > trees {
-            [128.0, 150.0, 118.0].map(|c| c + 12.0 * leaves.at(x, y))
+            lighter([128.0, 150.0, 118.0], 12.0 * leaves.at(x, y))
         } else if version % 2 == 1 && v > roofs {
             let pane = x % 11 > 6 && y % 16 > 9;
             scaled(
@@ -146,7 +173,7 @@ pub fn rug(version: u8, seed: u64) -> Texture {
             }
             _ => field,
         };
-        color.map(|c| c + 7.0 * pile.at(x, y) + 7.0 * wear.at(x, y))
+        lighter(lighter(color, 7.0 * pile.at(x, y)), 7.0 * wear.at(x, y))
     })
 }
 

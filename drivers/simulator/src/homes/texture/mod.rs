@@ -12,6 +12,7 @@
 
 mod art;
 mod floors;
+mod flower;
 mod goods;
 pub mod noise;
 mod walls;
@@ -121,14 +122,14 @@ impl Skin {
 
 /// A square texture from a colour per texel, in steps of 255.
 fn square(size: usize, mut color: impl FnMut(usize, usize) -> [f32; 3]) -> Texture {
-    let mut rgba = Vec::with_capacity(size * size * 4);
+    let mut texels = Vec::with_capacity(size * size);
     for y in 0..size {
         for x in 0..size {
-            rgba.extend(color(x, y).map(|c| (c + 0.5).clamp(0.0, 255.0) as u8));
-            rgba.push(255);
+            let [r, g, b] = color(x, y);
+            texels.push([byte(r), byte(g), byte(b), 255]);
         }
     }
-    Texture { width: size as u32, height: size as u32, rgba }
+    Texture { width: size as u32, height: size as u32, rgba: texels.into_flattened() }
 }
 
 /// A colourless texture from a brightness per texel.
@@ -136,10 +137,25 @@ fn gray(size: usize, mut value: impl FnMut(usize, usize) -> f32) -> Texture {
     square(size, |x, y| [value(x, y); 3])
 }
 
-fn mix(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
-    std::array::from_fn(|i| a[i] + (b[i] - a[i]) * t)
+#[inline]
+fn byte(value: f32) -> u8 {
+    (value + 0.5).clamp(0.0, 255.0) as u8
 }
 
+// Arrays that are written out, here and for every texel: the compiler does not always inline
+// `array::map`.
+
+#[inline]
+fn mix(a: [f32; 3], b: [f32; 3], t: f32) -> [f32; 3] {
+    [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t]
+}
+
+#[inline]
 fn scaled(color: [f32; 3], factor: f32) -> [f32; 3] {
-    color.map(|c| c * factor)
+    [color[0] * factor, color[1] * factor, color[2] * factor]
+}
+
+#[inline]
+fn lighter(color: [f32; 3], by: f32) -> [f32; 3] {
+    [color[0] + by, color[1] + by, color[2] + by]
 }

@@ -1,7 +1,8 @@
 //! Textures of walls and ceilings. Their contrast scales with `HomeOptions::texture`.
 
+use super::flower::flowers;
 use super::noise::{Field, hash};
-use super::{gray, mix, square};
+use super::{gray, lighter, mix, square};
 use crate::scene::Texture;
 
 const SIZE: usize = 512;
@@ -13,8 +14,6 @@ const PLASTER_RMS: f32 = 24.0;
 const CEILING_RMS: f32 = 18.0;
 /// Contrast of wallpaper motifs against their background.
 const MOTIF: f32 = 60.0;
-/// Rows and columns of wallpaper motifs.
-const ROWS: usize = 10;
 /// Scale of the brightness variations within and between bricks, of 255.
 const BRICK_RMS: f32 = 26.0;
 
@@ -50,35 +49,10 @@ pub fn ceiling(seed: u64, texture: f32) -> Texture {
 /// Flowers of several petals with random orientation, size and offset from a grid.
 pub fn wallpaper(seed: u64, texture: f32) -> Texture {
     let ground = cloud([SIZE, SIZE], seed ^ 5);
-    let cell = SIZE as f32 / ROWS as f32;
+    let motifs = flowers(SIZE, seed);
     gray(SIZE, |x, y| {
-        MEAN + texture * (0.6 * PLASTER_RMS * ground.at(x, y) - MOTIF * flower(x, y, cell, seed))
+        MEAN + texture * (0.6 * PLASTER_RMS * ground.at(x, y) - MOTIF * motifs.at(x, y))
     })
-}
-
-/// Strength of the flower motifs at a texel, 0 to 1.5.
-fn flower(x: usize, y: usize, cell: f32, seed: u64) -> f32 {
-    let mut best = 0.0_f32;
-    let row = (y as f32 / cell) as usize;
-    for r in row + ROWS - 1..=row + ROWS + 1 {
-        let r = r % ROWS;
-        let column = (x as f32 / cell) as usize;
-        for c in column + ROWS - 1..=column + ROWS + 1 {
-            let id = seed ^ (r * ROWS + c % ROWS) as u64;
-            let [jitter_x, jitter_y] = [1, 2].map(|k| hash(id, k) - 0.5);
-            let offset = 0.5 * (r % 2) as f32;
-            let dx = wrapped_distance(x as f32 - (c as f32 + 0.5 + offset + 0.5 * jitter_x) * cell);
-            let dy = wrapped_distance(y as f32 - (r as f32 + 0.5 + 0.5 * jitter_y) * cell);
-            let petals = (3.0 + (hash(id, 3) * 4.0).floor()) * dy.atan2(dx) + 6.3 * hash(id, 4);
-            let reach = cell * (0.22 + 0.2 * hash(id, 5)) * (0.7 + 0.3 * petals.cos());
-            best = best.max(((reach - dx.hypot(dy)) / 4.0).clamp(0.0, 1.0) * (0.5 + hash(id, 6)));
-        }
-    }
-    best
-}
-
-fn wrapped_distance(d: f32) -> f32 {
-    d - (d / SIZE as f32).round() * SIZE as f32
 }
 
 /// Running bond; every brick has its own colour.
@@ -97,6 +71,6 @@ pub fn brick(seed: u64, texture: f32) -> Texture {
         let color = if mortar { [172.0, 164.0, 152.0] } else { brick };
         let shade =
             contrast * BRICK_RMS * (0.5 * field.at(x, y) + 0.7 * (hash(seed ^ 7, id) - 0.5));
-        color.map(|c| c + shade)
+        lighter(color, shade)
     })
 }
