@@ -39,27 +39,28 @@ impl MipChain {
         {
             return None;
         }
-        let light: Vec<f32> = (0..=255).map(srgb_to_linear).collect();
-        let texels = texture.rgba.chunks_exact(4);
+        let (texels, _) = texture.rgba.as_chunks::<4>();
+        let light: [f32; 256] = std::array::from_fn(|byte| srgb_to_linear(byte as u8));
+        let code = light.map(|light| unit_to_byte(light.sqrt()));
+        let coded = texels
+            .iter()
+            .map(|t| [code[t[0] as usize], code[t[1] as usize], code[t[2] as usize], t[3]]);
+        let linear = |i: usize| {
+            let [r, g, b, a] = texels[i];
+            [light[r as usize], light[g as usize], light[b as usize], f32::from(a) / 255.0]
+        };
+        let mut levels = vec![Level::new(width, height, coded)];
         // Levels are averaged from unrounded values. Rounded ones would make dark tones drift from
         // level to level.
-        let mut linear: Vec<Rgba> = texels
-            .map(|p| {
-                [
-                    light[p[0] as usize],
-                    light[p[1] as usize],
-                    light[p[2] as usize],
-                    f32::from(p[3]) / 255.0,
-                ]
-            })
-            .collect();
-        let mut levels = vec![Level::new(width, height, &linear)];
+        let mut finer: Vec<Rgba> = Vec::new();
         while width > 1 || height > 1 {
-            let half_width = (width / 2).max(1);
-            let half_height = (height / 2).max(1);
-            linear = shrink(&linear, (width, height), (half_width, half_height));
-            (width, height) = (half_width, half_height);
-            levels.push(Level::new(width, height, &linear));
+            let half = ((width / 2).max(1), (height / 2).max(1));
+            finer = match levels.len() {
+                1 => shrink(linear, (width, height), half),
+                _ => shrink(|i| finer[i], (width, height), half),
+            };
+            (width, height) = half;
+            levels.push(Level::new(width, height, finer.iter().map(encode)));
         }
         Some(Self { levels })
     }
@@ -210,15 +211,16 @@ struct Level {
 }
 
 impl Level {
-    fn new(width: usize, height: usize, linear: &[Rgba]) -> Self {
+    /// From texels row by row.
+    fn new(width: usize, height: usize, mut colours: impl Iterator<Item = [u8; 4]>) -> Self {
         let tile_row = width.div_ceil(4) * 16;
         let texels = vec![[0; 4]; tile_row * height.div_ceil(4)];
         let mut level =
             Self { width: width as u32, height: height as u32, tile_row: tile_row as u32, texels };
-        for (y, row) in linear.chunks_exact(width).enumerate() {
+        for y in 0..height {
             let start = level.row_start(y as u32);
-            for (x, colour) in row.iter().enumerate() {
-                level.texels[(start + column_start(x as u32)) as usize] = encode(colour);
+            for (x, colour) in colours.by_ref().take(width).enumerate() {
+                level.texels[(start + column_start(x as u32)) as usize] = colour;
             }
         }
         level
@@ -289,9 +291,9 @@ fn unit_to_byte(value: f32) -> u8 {
     (value * 255.0 + 0.5) as u8
 }
 
-/// Reduces an image by area averaging.
+/// Reduces an image by area averaging. `texel` takes the index of a texel, row by row.
 fn shrink(
-    texels: &[Rgba],
+    texel: impl Fn(usize) -> Rgba,
     (width, height): (usize, usize),
     (to_width, to_height): (usize, usize),
 ) -> Vec<Rgba> {
@@ -302,7 +304,8 @@ fn shrink(
     for sources in &rows {
         line.fill([0.0; 4]);
         for (y, share) in sources {
-            for (sum, texel) in line.iter_mut().zip(&texels[y * width..(y + 1) * width]) {
+            for (sum, index) in line.iter_mut().zip(y * width..) {
+                let texel = texel(index);
                 for channel in 0..4 {
                     sum[channel] += share * texel[channel];
                 }
