@@ -56,6 +56,13 @@ pub enum Event {
     },
     /// The robot has rotated and did not find itself in the map: it stands.
     StandsLost,
+    /// The robot is tilted: it stands and maps nothing until it is level.
+    StandsTilted {
+        /// Angle between its vertical axis and gravity, degrees.
+        tilt_deg: f64,
+    },
+    /// The robot is level again, or its tilt is not measured any more: it goes on.
+    LevelAgain,
     /// The wheels report another motion than the scans; the scans keep the pose.
     WheelsContradicted {
         /// The kind of the difference.

@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
 use drivers::fault::{
-    Fault, FaultTextError, Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar,
+    Fault, FaultTextError, Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyImu, FaultyLidar,
     random_faults,
 };
 use hal::{CameraModel, CameraMount, Clock, Pose2, RobotDescription, Twist2};
@@ -66,6 +66,8 @@ pub struct Sensors {
     pub camera: CameraModel,
     /// The depth that goes into the map.
     pub depth: DepthSource,
+    /// Whether the robot has an inertial measurement unit.
+    pub imu: bool,
 }
 
 impl Default for Sensors {
@@ -77,6 +79,7 @@ impl Default for Sensors {
             mount: CameraMount::default(),
             camera: CameraModel::pinhole(160, 64, FRAC_PI_2),
             depth: DepthSource::Dense,
+            imu: false,
         }
     }
 }
@@ -102,7 +105,7 @@ impl Scenario {
         seed: u64,
         sensors: Sensors,
     ) -> Result<Self, Box<dyn Error>> {
-        let Sensors { scene, laser, mount, camera, depth } = sensors;
+        let Sensors { scene, laser, mount, camera, depth, imu } = sensors;
         let world = World::open(&scene, &OpenOptions::default())?;
         let description = RobotDescription { camera: mount, ..RobotDescription::default() };
         let t_base_camera = mount.t_base_camera();
@@ -125,7 +128,11 @@ impl Scenario {
         let mut time = VirtualTime::new(devices.clock, task, SAFETY_NS);
         time.request(Request::Arm);
         let camera = FaultyCamera::new(devices.camera, &faults);
-        let devices = VirtualDevices::new(FaultyClock::new(time, &faults), camera);
+        let unit = FaultyImu::new(devices.imu, &faults);
+        let mut devices = VirtualDevices::new(FaultyClock::new(time, &faults), camera);
+        if imu {
+            devices = devices.with_imu(unit);
+        }
         let observer = ScenarioObserver { shadow: None, sent: Vec::new() };
         let session = Session::new(devices, robot, port, description.tick_ms * 1_000_000);
         let truth = simulated.devices().truth;

@@ -377,3 +377,37 @@ fn before_glass_a_robot_whose_camera_looks_down_stops_at_most_twice_in_four_minu
 fn before_glass_a_robot_that_maps_dense_depth_stops_at_most_three_times_in_six_minutes() {
     assert_seldom_stops(&interference_of(6, &Sensors::default()), 3);
 }
+
+/// A fault of the inertial unit from the third second to the ninth.
+#[test]
+fn whatever_the_inertial_unit_says_the_pose_stays_right_and_the_robot_goes_on() {
+    let sensors = Sensors { imu: true, ..Sensors::default() };
+    for fault in [
+        "corrupt@3..9",
+        "bias=0.3@3..9",
+        "bias=-2@3..9",
+        "stall@3..9",
+        "drop=0.5@3..9",
+        "delay=8@3..9",
+    ] {
+        let fault = format!("imu:{fault}");
+        let ticks = Scenario::with_sensors(PolicyKind::Active, &[&fault], 3, sensors.clone())
+            .unwrap()
+            .ticks(160)
+            .unwrap();
+        let first = &ticks[10];
+        for tick in &ticks[10..] {
+            let truth = first.pose.inverse().compose(&tick.pose);
+            let believed = first.decision.t_odom_base.inverse().compose(&tick.decision.t_odom_base);
+            let error = truth.inverse().compose(&believed);
+            let time_s = tick.decision.time_ns / 1_000_000_000;
+            assert!(
+                error.x_m.hypot(error.y_m) < 0.08 && error.yaw_rad.abs() < 0.03,
+                "{fault} at {time_s} s: {error:?}"
+            );
+        }
+        let later = at(&ticks, 10.0..16.0);
+        assert!(path_m(later) > 0.3 || turned_rad(later) > 1.0, "{fault}: it does not go on");
+        assert!(ticks.iter().all(|tick| !tick.contact), "{fault}");
+    }
+}

@@ -26,17 +26,22 @@ const COLUMNS: [&str; 12] = [
     "collisions",
 ];
 /// The rows of each home, with the names of their folders: where poses come from, and the depth of the map, if it is not dense depth.
-const ROWS: [(&str, &str); 6] = [
+const ROWS: [(&str, &str); 8] = [
     ("wheels and scans", "dense"),
+    ("wheels, gyroscope and scans", "gyro"),
     ("wheels and scans, network", "network"),
     ("wheels and scans, map of coarse depth", "scans"),
-    ("noise of 3 % / 5 %, and scans, map of coarse depth", "noisy"),
+    ("noise of 3 % / 5 %, and scans", "noisy-dense"),
+    ("noise of 3 % / 5 %, gyroscope and scans", "noisy-gyro"),
     ("wheels alone, map of coarse depth", "wheels"),
     ("error-free", "perfect-dense"),
 ];
 
 /// A bad base: of the default errors of odometry, the noise is raised to 3 % of the distance and 5 % of a rotation.
 const NOISY: &str = "[simulator]\nodometry_distance_noise = 0.03\nodometry_turn_noise = 0.05\n";
+
+/// An inertial measurement unit, behind the section `[simulator]`.
+const IMU: &str = "imu = true\n";
 
 /// Explores each home with each seed and as each row says. Runs that an earlier call has finished are not repeated. With `update`,
 /// the table goes into docs/data/odometry.json and docs/accuracy.md.
@@ -49,6 +54,8 @@ pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<(
     std::fs::create_dir_all(&dir).with_context(|| dir.display().to_string())?;
     let wheels = configuration(&dir, "wheels", "[localization]\nsource = \"wheels\"\n")?;
     let noisy = configuration(&dir, "noisy", NOISY)?;
+    let gyro = configuration(&dir, "gyro", &format!("[simulator]\n{IMU}"))?;
+    let noisy_gyro = configuration(&dir, "noisy-gyro", &format!("{NOISY}{IMU}"))?;
     let network = paths::root().join(demo::MODEL).display().to_string();
     let frames = frames.to_string();
     let mut labels = Vec::new();
@@ -65,7 +72,9 @@ pub fn run(frames: u64, seeds: u64, scenes: &[String], update: bool) -> Result<(
                 let of_row = match folder {
                     "network" => vec!["--model", &network],
                     "scans" => vec!["--depth", "coarse"],
-                    "noisy" => vec!["--depth", "coarse", "--config", &noisy],
+                    "gyro" => vec!["--config", &gyro],
+                    "noisy-dense" => vec!["--config", &noisy],
+                    "noisy-gyro" => vec!["--config", &noisy_gyro],
                     "wheels" => vec!["--depth", "coarse", "--config", &wheels],
                     "perfect-dense" => vec!["--odometry", "perfect"],
                     _ => Vec::new(),

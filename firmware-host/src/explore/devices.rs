@@ -1,6 +1,6 @@
 //! The simulated robot's devices, with injected faults, in virtual time.
 
-use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyLidar};
+use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyClock, FaultyImu, FaultyLidar};
 use runtime::recording::quantise_mm;
 use runtime::safety::{Request, SafetyLoop};
 use runtime::session::{SafetyPort, VirtualDevices, VirtualTime, safety_link};
@@ -46,8 +46,7 @@ pub fn simulated_devices(
     let camera = FaultyCamera::new(devices.camera, faults);
     let mut devices = VirtualDevices::new(FaultyClock::new(time, faults), camera);
     if config.simulator.imu {
-        let imu = simulated.devices().imu;
-        devices = devices.with_imu(imu);
+        devices = devices.with_imu(FaultyImu::new(simulated.devices().imu, faults));
     }
     if maps_truth {
         let world = simulated.devices().truth;

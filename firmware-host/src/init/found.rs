@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use drivers::can::sender::Sender;
 use drivers::v4l2::{CameraFormat, V4l2Error};
 
-/// Cameras, serial ports and CAN buses.
+/// Cameras, serial ports, CAN buses and gyroscopes.
 #[derive(Debug, Default, Clone, PartialEq)]
 pub struct Found {
     /// The cameras, in the order of their nodes.
@@ -15,6 +15,8 @@ pub struct Found {
     pub ports: Vec<FoundPort>,
     /// The CAN interfaces.
     pub buses: Vec<FoundBus>,
+    /// Inertial units and gyroscopes, as `devices.imu.device` names them. They are optional, and not asked for.
+    pub imus: Vec<String>,
     /// The folder of the devices if they are simulated. Status and tasks of the robot are there, too.
     pub simulated: Option<PathBuf>,
 }
@@ -129,6 +131,13 @@ impl Found {
         let cameras = self.cameras.iter().map(|it| line("camera", &it.device, &it.words()));
         let ports = self.ports.iter().map(|it| line("port", &it.path, &it.words()));
         let buses = self.buses.iter().map(|it| line("CAN bus", &it.name, &it.words()));
+        let imus = self.imus.iter().map(|name| {
+            line(
+                "IMU",
+                name,
+                &format!("to use it, set devices.imu.device = \"{name}\" (docs/imu.md)"),
+            )
+        });
         let missing = [
             (self.cameras.is_empty(), "camera"),
             (self.ports.is_empty(), "serial port"),
@@ -137,7 +146,7 @@ impl Found {
         let missing = missing.into_iter().filter(|(is_missing, _)| *is_missing);
         let missing = missing
             .map(|(_, what)| format!("  no {what}: plug it in and start again, or name it below"));
-        cameras.chain(ports).chain(buses).chain(missing).collect()
+        cameras.chain(ports).chain(buses).chain(imus).chain(missing).collect()
     }
 }
 
@@ -169,13 +178,19 @@ mod tests {
             name: String::new(),
             offer: Err(V4l2Error::Denied { device: "/dev/video0".into() }),
         };
-        let found =
-            Found { cameras: vec![denied], ports: vec![port], buses: vec![bus], simulated: None };
+        let found = Found {
+            cameras: vec![denied],
+            ports: vec![port],
+            buses: vec![bus],
+            imus: vec!["bmi160".to_owned()],
+            simulated: None,
+        };
         let text = found.lines().join("\n");
         for part in [
             "camera   /dev/video0: no permission for /dev/video0; add the user to the group `video`",
             "port     /dev/ttyUSB0: Silicon Labs CP2102; USB 10c4:ea60",
             "CAN bus  can0: heard: ODrive 3, ODrive 5",
+            "IMU      bmi160: to use it, set devices.imu.device = \"bmi160\"",
         ] {
             assert!(text.contains(part), "{part} in {text}");
         }

@@ -31,6 +31,7 @@ impl Places {
                 cameras: self.cameras(),
                 ports: self.ports(),
                 buses: self.buses(),
+                imus: self.imus(),
                 simulated: None,
             },
         }
@@ -84,6 +85,17 @@ impl Places {
             .collect()
     }
 
+    /// Devices of Industrial I/O that measure an angular velocity.
+    fn imus(&self) -> Vec<String> {
+        let devices = entries(&self.root.join("sys/bus/iio/devices"));
+        let gyroscopes = devices.into_iter().filter(|device| {
+            ["x", "y", "z"]
+                .iter()
+                .any(|axis| device.join(format!("in_anglvel_{axis}_raw")).exists())
+        });
+        gyroscopes.map(|device| attribute(&device, "name").trim().to_owned()).collect()
+    }
+
     /// The file in `dev` of an entry in `sys/class`.
     fn device_of(&self, in_sys: &Path) -> Option<PathBuf> {
         let path = self.root.join("dev").join(in_sys.file_name()?);
@@ -128,7 +140,7 @@ fn unopened(device: &str, name: &str) -> FoundCamera {
     FoundCamera { device: device.to_owned(), name: name.to_owned(), offer: Err(missing) }
 }
 
-/// The devices of `hil world`: two sockets, and a link to a pty.
+/// The devices of `hil world`: sockets, and a link to a pty.
 fn simulated(folder: &Path) -> Found {
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let port = folder.join("lidar");
@@ -147,6 +159,7 @@ fn simulated(folder: &Path) -> Found {
             .collect(),
         ports: port.into_iter().collect(),
         buses: bus.into_iter().collect(),
+        imus: socket_in(&folder, "imu").into_iter().collect(),
         simulated: Some(folder),
     }
 }
@@ -257,6 +270,19 @@ mod tests {
         let [up, down] = &found.buses[..] else { panic!("{found:?}") };
         assert_eq!((up.name.as_str(), up.problem.as_ref()), ("can0", None));
         assert!(down.problem.as_ref().unwrap().contains("ip link set can1 up"), "{down:?}");
+    }
+
+    #[test]
+    fn a_gyroscope_is_found_by_its_name_and_a_light_sensor_is_none() {
+        let computer = Fake::new();
+        for (device, name, channel) in [
+            ("iio:device0", "als", "in_illuminance_raw"),
+            ("iio:device1", "bmi160", "in_anglvel_z_raw"),
+        ] {
+            computer.file(&format!("sys/bus/iio/devices/{device}/name"), &format!("{name}\n"));
+            computer.file(&format!("sys/bus/iio/devices/{device}/{channel}"), "0\n");
+        }
+        assert_eq!(computer.search().imus, ["bmi160"]);
     }
 
     #[test]

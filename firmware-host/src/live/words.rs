@@ -71,6 +71,7 @@ struct Memory {
     task: Option<Task>,
     lost: Option<LostReason>,
     stands_lost: bool,
+    is_tilted: bool,
     without_frames: bool,
     no_goal: Option<NoGoalReason>,
     is_done: bool,
@@ -108,6 +109,8 @@ impl StateTracker {
             match event {
                 Event::StandsWithoutFrames => memory.without_frames = true,
                 Event::StandsLost => memory.stands_lost = true,
+                Event::StandsTilted { .. } => memory.is_tilted = true,
+                Event::LevelAgain => memory.is_tilted = false,
                 Event::NoGoal { why } => memory.no_goal = Some(*why),
                 Event::Safety { what: SafetyEvent::ArmingLapsed { why } } => {
                     memory.lapsed = Some(*why);
@@ -222,6 +225,9 @@ impl Memory {
         }
         if self.by_hand {
             return drives(format!("Driven by hand{}.", self.slowly()));
+        }
+        if self.is_tilted {
+            return stands("Stopped: the robot is tilted. Put it on level floor.");
         }
         if self.stands_lost {
             return stands("Lost, and it does not recognize this place. Move it to another place.");

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use drivers::can::{CanBus, DifferentialBase, Phase, open_bus};
-use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyLidar};
+use drivers::fault::{Faults, FaultyBase, FaultyCamera, FaultyImu, FaultyLidar};
 use drivers::iio::IioImu;
 use drivers::lidar::AnyLidar;
 use drivers::stop_line::{StopLine, StopLineMonitor};
@@ -42,8 +42,9 @@ pub fn open_camera(config: &Config, faults: &Faults) -> Result<FaultyCamera<V4l2
 ///
 /// # Errors
 /// The driver refuses the configuration.
-pub fn open_imu(config: &Config) -> Result<Option<IioImu>> {
-    IioImu::open(&config.devices.imu).context("[devices.imu]")
+pub fn open_imu(config: &Config, faults: &Faults) -> Result<Option<FaultyImu<IioImu>>> {
+    let imu = IioImu::open(&config.devices.imu).context("[devices.imu]")?;
+    Ok(imu.map(|imu| FaultyImu::new(imu, faults)))
 }
 
 /// Starts the drivers of the scanner, the base and the emergency stop's line.

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use drivers::DeviceStatus;
-use drivers::fault::{FaultyCamera, FaultyClock};
+use drivers::fault::{FaultyCamera, FaultyClock, FaultyImu};
 use drivers::iio::IioImu;
 use drivers::v4l2::V4l2Camera;
 use hal::{Camera, Clock, Frame, ImageView, Imu, ImuSample};
@@ -21,7 +21,7 @@ pub struct LiveDevices<C = FaultyCamera<V4l2Camera>> {
     frame: Frame,
     rgb: Vec<u8>,
     problem: Option<String>,
-    imu: Option<IioImu>,
+    imu: Option<FaultyImu<IioImu>>,
     imu_rotation: UnitQuaternion<f64>,
 }
 
@@ -42,7 +42,7 @@ impl<C: Camera> LiveDevices<C> {
         config: &Config,
         clock: FaultyClock<MonotonicClock>,
         camera: C,
-        imu: Option<IioImu>,
+        imu: Option<FaultyImu<IioImu>>,
     ) -> Result<Self> {
         let source = *camera.model();
         let target = config.camera.model();

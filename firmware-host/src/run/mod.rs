@@ -27,7 +27,6 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
 use drivers::fault::{Faults, FaultyClock};
-use drivers::iio::IioImu;
 use monotonic_clock::MonotonicClock;
 use monotonic_clock::monotonic_ns;
 use runtime::event::ExploreEnd;
@@ -123,8 +122,8 @@ pub fn run(args: &RunArgs, arming: Arming) -> Result<ExploreEnd> {
     let recorder =
         if args.no_recording { None } else { Some(recorder(out, &config, header, key, &faults)?) };
     let camera = devices::open_camera(&config, &faults)?;
-    let imu = devices::open_imu(&config)?;
-    let imu_monitor = imu.as_ref().map(IioImu::monitor);
+    let imu = devices::open_imu(&config, &faults)?;
+    let imu_monitor = imu.as_ref().map(|imu| imu.inner().monitor());
     let pace =
         Pace { period_ns: config.safety_period_ns(), priority: config.run.realtime_priority };
     let wiring = config.clone();

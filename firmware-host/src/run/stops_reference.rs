@@ -26,7 +26,7 @@ struct OtherStop {
     tests: &'static str,
 }
 
-fn other_stops() -> [OtherStop; 4] {
+fn other_stops() -> [OtherStop; 5] {
     [
         OtherStop {
             event: Event::StandsWithoutFrames,
@@ -54,6 +54,12 @@ fn other_stops() -> [OtherStop; 4] {
             condition: "the robot is lost, and has rotated twice without recognizing the place",
             end: "it recognizes the place, also because it was moved",
             tests: "`lost::a_robot_that_is_lifted_and_put_elsewhere_stops_rotates_finds_itself_and_explores_on`",
+        },
+        OtherStop {
+            event: Event::StandsTilted { tilt_deg: 15.0 },
+            condition: "an accelerometer in `[devices.imu]` measures a tilt above `localization.most_tilt_deg` (10 degrees)",
+            end: "a tilt of 3 degrees less, or the unit falls silent",
+            tests: "`tilt::tests::a_tilted_robot_stands_and_maps_nothing_until_it_is_level`",
         },
     ]
 }

@@ -6,6 +6,7 @@
     reason = "a test that cannot set up its scene has failed"
 )]
 
+mod imu;
 mod lost;
 mod models;
 mod roll_out;

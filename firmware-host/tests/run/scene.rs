@@ -66,6 +66,16 @@ impl Scene {
         Self { folder, world, robot }
     }
 
+    /// With an inertial measurement unit.
+    pub fn with_imu() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let camera = CameraModel::pinhole(160, 64, std::f64::consts::FRAC_PI_2);
+        let options = LiveOptions { camera, imu: true, ..LiveOptions::default() };
+        let world = LiveWorld::start(folder.path(), &options).unwrap();
+        let robot = start(&world, folder.path(), "run", &[]);
+        Self { folder, world, robot }
+    }
+
     /// With a part of its configuration replaced. `{}` is the scene's folder.
     pub fn with_another(from: &str, to: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();

@@ -66,6 +66,11 @@ pub fn sentence(event: &Event) -> (Severity, String) {
             "stopped: the robot is lost and does not recognize this place; move it, or clear the map"
                 .to_owned(),
         ),
+        Event::StandsTilted { tilt_deg } => (
+            Warning,
+            format!("stopped: the robot is tilted by {tilt_deg:.0} degrees; put it on level floor"),
+        ),
+        Event::LevelAgain => (Info, "the robot is level again".to_owned()),
         Event::WheelsContradicted { how } => {
             (Warning, format!("wheels and scans disagree: {}", wheel_error(*how)))
         }

@@ -13,6 +13,7 @@ mod saved_map;
 mod saved_map_tests;
 #[cfg(test)]
 mod test_robot;
+mod tilt;
 mod wheel_frame;
 
 use std::collections::VecDeque;
@@ -42,6 +43,7 @@ use location::Location;
 use lost::LostMotion;
 use map_correction::MapCorrection;
 use outside_odometry::OutsideOdometry;
+use tilt::Tilt;
 use wheel_frame::WheelFrame;
 
 pub use config::{FRAME_TIMEOUT_S, RobotConfig, SAFETY_HZ, ticks_of_silence};
@@ -173,6 +175,7 @@ pub struct Robot {
     poses: TickPoses,
     whereabouts: Whereabouts,
     lost_motion: LostMotion,
+    tilt: Tilt,
     map_correction: MapCorrection,
     map: OccupancyGrid,
     /// The surfaces of the newest scan.
@@ -230,6 +233,7 @@ impl Robot {
             poses: TickPoses::START,
             whereabouts: Whereabouts::Localized,
             lost_motion: LostMotion::default(),
+            tilt: Tilt::default(),
             map_correction: MapCorrection::default(),
             map: OccupancyGrid::new(&config.map)?,
             surfaces: Surfaces::default(),
@@ -346,6 +350,8 @@ impl Robot {
             sound
         });
         events.extend(input.safety.events.iter().map(|what| Event::Safety { what: *what }));
+        let tilt_rad = input.imu.and_then(|imu| imu.tilt_rad);
+        self.tilt.observe(tilt_rad, self.config.localization.most_tilt_deg, &mut events);
         self.localize(input, scan, &mut events);
         self.note_blocked(input);
         let t_odom_camera = self.poses.t_odom_base_at_frame.to_pose3() * self.config.t_base_camera;
@@ -357,7 +363,7 @@ impl Robot {
         self.find_camera_time(input);
         self.watch_calibration(input, &mut events);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
-        let is_mapped = self.whereabouts == Whereabouts::Localized;
+        let is_mapped = self.whereabouts == Whereabouts::Localized && !self.tilt.is_tilted();
         if is_mapped {
             self.update_map(scan);
         }
@@ -633,6 +639,9 @@ impl Robot {
         if let Some(by_hand) = self.explorer.hand_velocity(input.time_ns) {
             return by_hand.within(forward, yaw_rate);
         }
+        if self.tilt.is_tilted() {
+            return Twist2::ZERO;
+        }
         if self.whereabouts.lost().is_some() {
             // A person who has paused the robot may stand beside it.
             if self.explorer.stands() {
@@ -780,7 +789,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotEr
 }
 
 remembers!(
-    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, surfaces, frame_maps, explorer, bumped, collision_at, unseen_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, tilt, map_correction, map, surfaces, frame_maps, explorer, bumped, collision_at, unseen_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// The pose at the robot's place that faces `place_m`, and the distance to it, metres.

@@ -50,12 +50,17 @@ fn to_wall_m(at_m: f64, direction: f64, half_m: f64) -> f64 {
 
 /// The robot stands at a true pose; its wheels report `wheel`.
 pub(super) fn stand(robot: &mut Robot, tick: u64, truth: &Pose2, wheel: Pose2) -> Decision {
+    recompute(robot, &standing(tick, truth, wheel)).unwrap()
+}
+
+/// The input of a tick in which the robot stands at a true pose and its wheels report `wheel`.
+pub(super) fn standing(tick: u64, truth: &Pose2, wheel: Pose2) -> RecordedTick {
     let time_ns = tick * 100_000_000;
     let mut input = RecordedTick::new(tick, time_ns);
     input.wheel.odom = wheel;
     input.scan_odom = wheel;
     input.scan = Some(scan(truth, time_ns));
-    recompute(robot, &input).unwrap()
+    input
 }
 
 /// Drives 0.9 m ahead through the room.

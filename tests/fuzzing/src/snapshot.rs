@@ -4,6 +4,7 @@ use firmware_host::config::Config;
 use firmware_host::setup::Mission;
 use hal::{ImageView, LaserScan, Pose2, Range, ScanGeometry, WheelFeedback};
 use runtime::exploration::PolicyKind;
+use runtime::imu::ImuInput;
 use runtime::outside_pose::{OutsideInput, OutsidePose};
 use runtime::recording::RecordedTick;
 use runtime::robot::{DepthSource, Robot, RobotConfig};

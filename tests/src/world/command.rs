@@ -70,6 +70,9 @@ pub struct WorldArgs {
     /// Seed of the start pose, of the sensor noise and of the wheels' errors.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Give the robot an inertial measurement unit, a BMI160.
+    #[arg(long)]
+    imu: bool,
     /// Exact wheels and images without noise, as no real robot has.
     #[arg(long)]
     perfect: bool,
@@ -128,6 +131,7 @@ pub fn run(args: &WorldArgs) -> Result<(), Box<dyn Error>> {
             odometry: if args.perfect { OdometryNoise::NONE } else { OdometryNoise::ORDINARY },
             nuisances: if args.perfect { Nuisances::none() } else { Nuisances::default() },
             seed: args.seed,
+            imu: args.imu,
             cables: args.cables.clone(),
         },
     )?;

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use drivers::can::{BaseConfig, Kinematics};
 use hal::{Base, Clock, DriveCommand, LaserScan, Lidar, Pose2, Twist2};
-use simulator::robot::{SimBase, SimClock, SimLidar, Truth};
+use simulator::robot::{SimBase, SimClock, SimImu, SimLidar, Truth};
 use simulator::{RobotOptions, SceneError, SimulatedRobot, World};
 
 use super::hands::{Handled, Push};
@@ -143,6 +143,12 @@ impl Home {
         // A simulated scanner never fails.
         let _ = lidar.poll_scan(scan);
         read(scan);
+    }
+
+    /// The robot's inertial measurement unit. Its times are those of the home.
+    #[must_use]
+    pub fn imu(&self) -> SimImu {
+        self.state().robot.devices().imu
     }
 
     /// Does to the robot what a person would do. Its wheels do not notice.

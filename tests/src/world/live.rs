@@ -23,6 +23,7 @@ use thread_priority::{
 };
 
 use super::cables::{Cable, Cables};
+use super::imu::ImuServer;
 use super::sensors::HomeCamera;
 use super::{Home, ScannerModel, SimulatedScanner, output};
 use crate::motor::{Hub, MemoryBus, MotorNode, Outbox, rig};
@@ -56,6 +57,8 @@ pub struct LiveOptions {
     pub nuisances: Nuisances,
     /// Seed of the start pose, of the sensor noise and of the wheels' errors.
     pub seed: u64,
+    /// Whether the robot has an inertial measurement unit.
+    pub imu: bool,
     /// Devices that are reached through kernel drivers. The others are created in the folder.
     pub cables: Cables,
 }
@@ -74,6 +77,7 @@ impl Default for LiveOptions {
             odometry: OdometryNoise::ORDINARY,
             nuisances: Nuisances::default(),
             seed: 1,
+            imu: false,
             cables: Cables::default(),
         }
     }
@@ -88,6 +92,7 @@ pub struct LiveWorld {
     running: Arc<AtomicBool>,
     worst_late_ns: Arc<AtomicU64>,
     camera_plugged: Arc<AtomicBool>,
+    imu_plugged: Arc<AtomicBool>,
     can_plugged: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
@@ -129,6 +134,7 @@ impl LiveWorld {
             running: Arc::new(AtomicBool::new(true)),
             worst_late_ns: Arc::default(),
             camera_plugged: Arc::new(AtomicBool::new(true)),
+            imu_plugged: Arc::new(AtomicBool::new(true)),
             can_plugged: Arc::new(AtomicBool::new(true)),
             threads: Vec::new(),
             home: home.clone(),
@@ -138,12 +144,25 @@ impl LiveWorld {
             Some(cable) => MotorBus::on_interface(&cable.world, plugged),
             None => MotorBus::on_hub(dir.join("can"), plugged)?,
         };
+        let start_ns = monotonic_ns();
+        if options.imu {
+            let server = ImuServer {
+                path: dir.join("imu"),
+                imu: live.home.imu(),
+                start_ns,
+                plugged: Arc::clone(&live.imu_plugged),
+            };
+            let running = Arc::clone(&live.running);
+            let thread = std::thread::Builder::new().name("simulated-imu".to_owned());
+            live.threads.push(thread.spawn(move || server.run(&running))?);
+        }
         let wheels = Arc::clone(&live.wheels);
         let running = Arc::clone(&live.running);
         let late_ns = Arc::clone(&live.worst_late_ns);
         let motors = std::thread::Builder::new().name("simulated-motors".to_owned());
-        live.threads
-            .push(motors.spawn(move || run_motors(&home, &wheels, bus, &running, &late_ns))?);
+        live.threads.push(
+            motors.spawn(move || run_motors(&home, &wheels, bus, start_ns, &running, &late_ns))?,
+        );
         let camera = HomeCamera {
             home: live.home.clone(),
             model: options.camera,
@@ -211,19 +230,25 @@ impl LiveWorld {
         self.camera_plugged.store(on, Ordering::Relaxed);
     }
 
+    /// Unplugs the inertial measurement unit, or plugs it in again.
+    pub fn plug_imu(&self, on: bool) {
+        self.imu_plugged.store(on, Ordering::Relaxed);
+    }
+
     /// Unplugs the robot's CAN adapter, or plugs it in again. The motors keep their power. An adapter that is reached through a
     /// kernel driver stays.
     pub fn plug_can(&self, on: bool) {
         self.can_plugged.store(on, Ordering::Relaxed);
     }
 
-    /// The USB hub that all devices of the robot are connected to loses its power, or gets it back: camera, scanner and CAN adapter
-    /// vanish or return at once.
+    /// The USB hub that all devices of the robot are connected to loses its power, or gets it back: camera, scanner, inertial
+    /// unit and CAN adapter vanish or return at once.
     ///
     /// # Errors
     /// When there is no pty for the scanner.
     pub fn power_usb_hub(&self, on: bool) -> std::io::Result<()> {
         self.plug_camera(on);
+        self.plug_imu(on);
         self.plug_can(on);
         if on {
             return self.lidar.plug_in();
@@ -288,12 +313,12 @@ fn run_motors(
     home: &Home,
     wheels: &Wheels,
     mut bus: MotorBus,
+    start_ns: u64,
     running: &AtomicBool,
     worst_late_ns: &AtomicU64,
 ) {
     keep_on_time();
     let mut clock = MonotonicClock;
-    let start_ns = monotonic_ns();
     let mut due_ns = start_ns;
     let mut outbox = Outbox::default();
     while running.load(Ordering::Relaxed) {
@@ -363,6 +388,9 @@ fn configuration(
         camera.cy,
     );
     text += &options.lidar.configuration(scan_port);
+    if options.imu {
+        text += &format!("[devices.imu]\ndevice = {:?}\n\n", socket(dir, "imu"));
+    }
     // The tables of the base go below `[devices.base]`.
     let base = toml::Table::try_from(base)?;
     let devices = toml::Table::from_iter([("base".to_owned(), toml::Value::Table(base))]);

@@ -9,6 +9,7 @@ mod command;
 mod faults;
 mod hands;
 mod home;
+mod imu;
 mod live;
 mod output;
 mod scanner;

@@ -198,6 +198,7 @@ mod tests {
             .map(|truth| Step {
                 truth,
                 t_odom_base: shift.compose(&truth),
+                with_imu: Pose2::IDENTITY,
                 wheel: Pose2::new(1.01 * truth.x_m, 0.0, 0.0),
                 peer: None,
             })

@@ -604,7 +604,9 @@ fn at_rest_the_inertial_unit_rotates_by_its_bias_and_its_noise() {
         let options = RobotOptions { imu: noise, seed, ..exact(Pose2::new(1.0, 1.0, 0.2)) };
         let mut devices = robot(options);
         let halves = [(); 2].map(|()| {
-            (0..5).for_each(|_| drop(tick(&mut devices, 0.0, 0.0)));
+            for _ in 0..5 {
+                tick(&mut devices, 0.0, 0.0);
+            }
             let measured = samples(&mut devices.imu);
             measured.iter().map(|sample| 0.01 * sample.angular_radps[2]).sum::<f64>()
         });
@@ -623,7 +625,9 @@ fn at_rest_the_inertial_unit_rotates_by_its_bias_and_its_noise() {
 fn samples_that_nothing_fetched_for_a_second_are_lost() {
     let options = RobotOptions { imu: NO_IMU_NOISE, ..exact(Pose2::new(1.0, 1.0, 0.2)) };
     let mut devices = robot(options);
-    (0..30).for_each(|_| drop(tick(&mut devices, 0.0, 0.3)));
+    for _ in 0..30 {
+        tick(&mut devices, 0.0, 0.3);
+    }
     let measured = samples(&mut devices.imu);
     assert_eq!(measured.len(), 90);
     assert!(measured.iter().all(|sample| (sample.angular_radps[2] - 0.3).abs() < 1e-9));
