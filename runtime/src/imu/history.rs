@@ -11,6 +11,8 @@ use super::ImuInput;
 const KEPT_NS: u64 = 1_000_000_000;
 /// A longer time between two samples is an interruption: the robot may have rotated meanwhile.
 const GAP_NS: u64 = 50_000_000;
+/// No robot of this kind rotates faster, rad/s. A unit that reports it is broken, or the robot is in the air.
+const FASTEST_RADPS: f64 = 4.0;
 /// The newest sample stands for at most this long after its time: a robot of this kind rotates by less than a degree in it more or less
 /// than at its present rate.
 const AHEAD_NS: u64 = 30_000_000;
@@ -37,11 +39,16 @@ pub struct ImuHistory {
 }
 
 impl ImuHistory {
-    /// Adds the next sample. One that is not finite, or not newer than the last one, is left out.
+    /// Adds the next sample. One that is not finite, or not newer than the last one, is left out. One that is faster than a robot
+    /// interrupts the samples.
     pub fn push(&mut self, sample: &ImuSample) {
         let rate_radps = sample.angular_radps[2];
         let newest = self.angles.back().copied();
         if !sample.is_finite() || newest.is_some_and(|newest| sample.time_ns <= newest.time_ns) {
+            return;
+        }
+        if rate_radps.abs() > FASTEST_RADPS {
+            self.interrupt();
             return;
         }
         let time_ns = sample.time_ns;
@@ -52,7 +59,10 @@ impl ImuHistory {
                 yaw_rad = newest.yaw_rad + 0.5 * (self.rate_radps + rate_radps) * seconds;
                 self.average(sample, seconds);
             }
-            Some(_) => self.begin_again(sample),
+            Some(_) => {
+                self.interrupt();
+                self.force_mps2 = sample.force_mps2.map(Vector3::from);
+            }
             None => self.force_mps2 = sample.force_mps2.map(Vector3::from),
         }
         self.rate_radps = rate_radps;
@@ -62,10 +72,12 @@ impl ImuHistory {
         }
     }
 
-    fn begin_again(&mut self, sample: &ImuSample) {
-        self.angles.clear();
-        self.gaps += 1;
-        self.force_mps2 = sample.force_mps2.map(Vector3::from);
+    /// Angles from before cannot be compared with those to come.
+    fn interrupt(&mut self) {
+        if !self.angles.is_empty() {
+            self.angles.clear();
+            self.gaps += 1;
+        }
     }
 
     fn average(&mut self, sample: &ImuSample, seconds: f64) {
@@ -178,6 +190,16 @@ mod tests {
         history.push(&ImuSample { force_mps2: Some([f64::NAN; 3]), ..sample(1010 * MS, 0.5) });
         assert!((history.yaw_rad(1000 * MS).unwrap() - 0.5).abs() < 1e-12);
         assert!((history.yaw_rad(1010 * MS).unwrap() - 0.505).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_rotation_faster_than_any_robot_is_an_interruption() {
+        let mut history = rotating(0.5);
+        history.push(&sample(1010 * MS, 20.0));
+        history.push(&sample(1020 * MS, -30.0));
+        assert_eq!((history.gaps, history.yaw_rad(1010 * MS)), (1, None));
+        history.push(&sample(1030 * MS, 0.5));
+        assert_eq!((history.gaps, history.yaw_rad(1030 * MS)), (1, Some(0.0)));
     }
 
     #[test]
