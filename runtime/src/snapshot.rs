@@ -9,6 +9,8 @@ use serde::de::DeserializeOwned;
 
 /// Increased whenever the layout of anything remembered changes. Old snapshots are then refused; recordings stay readable.
 pub const SNAPSHOT_VERSION: u32 = 12;
+/// The layout before, which lacks only the memory of the inertial unit at its end. It is read as that of a robot without a unit.
+pub const SNAPSHOT_WITHOUT_IMU: u32 = 11;
 
 /// Why a snapshot cannot be restored.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

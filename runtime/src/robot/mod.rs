@@ -36,7 +36,7 @@ use crate::perception::{
 use crate::planning::{ConfigError, Primitive};
 use crate::recording::input_digest;
 use crate::safety::SentCommand;
-use crate::snapshot::{SNAPSHOT_VERSION, SnapshotError, State, remembers};
+use crate::snapshot::{SNAPSHOT_VERSION, SNAPSHOT_WITHOUT_IMU, SnapshotError, State, remembers};
 use crate::tick::{Decision, SafetyReport, TickInput};
 use camera_time::CameraTime;
 use location::Location;
@@ -278,10 +278,11 @@ impl Robot {
         self.network_digest().write(&mut bytes);
         self.config.depth_source.write(&mut bytes);
         State::write(self, &mut bytes);
-        self.location.write_gyro(&mut bytes);
         if let Some(network) = &self.network {
             network.write(&mut bytes);
         }
+        self.location.write_gyro(&mut bytes);
+        self.tilt.write(&mut bytes);
         bytes
     }
 
@@ -291,7 +292,7 @@ impl Robot {
     /// # Errors
     /// When the bytes are of another version or of another robot, or damaged. The robot must not be used after an error.
     pub fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
-        let (network, mut from) = begin_snapshot(snapshot)?;
+        let (version, network, mut from) = begin_snapshot(snapshot)?;
         let here = self.network_digest();
         if network != here {
             return Err(SnapshotError::OtherRobot {
@@ -302,9 +303,12 @@ impl Robot {
         }
         self.config.depth_source.read(&mut from)?;
         State::read(self, &mut from)?;
-        self.location.read_gyro(&mut from)?;
         if let Some(network) = &mut self.network {
             network.read(&mut from)?;
+        }
+        if version > SNAPSHOT_WITHOUT_IMU {
+            self.location.read_gyro(&mut from)?;
+            self.tilt.read(&mut from)?;
         }
         match from.len() {
             0 => Ok(()),
@@ -317,7 +321,7 @@ impl Robot {
     /// # Errors
     /// When the bytes are of another version, or damaged.
     pub fn network_of_snapshot(snapshot: &[u8]) -> Result<Option<String>, SnapshotError> {
-        begin_snapshot(snapshot).map(|(network, _)| network)
+        begin_snapshot(snapshot).map(|(_, network, _)| network)
     }
 
     /// BLAKE3 digest of the depth network's file, in hex.
@@ -774,22 +778,22 @@ impl Robot {
     }
 }
 
-/// Checks the version. Returns the digest of the model and the bytes behind it.
-fn begin_snapshot(snapshot: &[u8]) -> Result<(Option<String>, &[u8]), SnapshotError> {
+/// Checks the version. Returns it with the digest of the model and the bytes behind it.
+fn begin_snapshot(snapshot: &[u8]) -> Result<(u32, Option<String>, &[u8]), SnapshotError> {
     let mut from = snapshot;
     let mut version = [0_u8; 4];
     version.iter_mut().try_for_each(|byte| byte.read(&mut from))?;
     let found = u32::from_le_bytes(version);
-    if found != SNAPSHOT_VERSION {
+    if ![SNAPSHOT_WITHOUT_IMU, SNAPSHOT_VERSION].contains(&found) {
         return Err(SnapshotError::Version { found });
     }
     let mut network = None;
     network.read(&mut from)?;
-    Ok((network, from))
+    Ok((found, network, from))
 }
 
 remembers!(
-    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, tilt, map_correction, map, surfaces, frame_maps, explorer, bumped, collision_at, unseen_at, last_time_ns, ticks_without_frame, new_network
+    Robot: coarse, dense, location, camera_time, watch, outside, wheel_frame, poses, whereabouts, lost_motion, map_correction, map, surfaces, frame_maps, explorer, bumped, collision_at, unseen_at, last_time_ns, ticks_without_frame, new_network
 );
 
 /// The pose at the robot's place that faces `place_m`, and the distance to it, metres.
