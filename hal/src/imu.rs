@@ -81,8 +81,8 @@ impl ImuMount {
 /// An inertial measurement unit, or a gyroscope alone, that is fixed to the robot.
 ///
 /// * *Blocking*: no method blocks. A driver reads the device on a thread of its own and queues its samples.
-/// * *Freshness*: returns every sample once, oldest first, so that the caller can integrate them. When the queue is full, the driver
-///   drops the oldest samples: the gap shows in their times.
+/// * *Freshness*: returns every sample once, oldest first, so that the caller can integrate them. A driver whose queue is full drops
+///   samples: the gap shows in their times.
 /// * *Unplug*: returns [`Disconnected`](crate::ErrorKind::Disconnected) until the driver has reopened the device.
 /// * *Retries*: the driver retries; the caller only polls.
 pub trait Imu: ErrorType {
