@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::thread::JoinHandle;
 use std::time::Instant;
 
 use anyhow::{Result, bail, ensure};
@@ -68,6 +69,8 @@ pub fn run(all: bool) -> Result<()> {
         cargo
     };
     let ci = std::env::var_os("CI").is_some();
+    // Most of that time is spent waiting for downloads, while the workspace is built.
+    let trainer = (all || ci).then(|| std::thread::spawn(trainer::install));
     let has_nextest = nextest::install();
     let build = match has_nextest {
         true => format!("nextest run {TESTED} --no-run"),
@@ -131,7 +134,7 @@ pub fn run(all: bool) -> Result<()> {
     ]);
     outcomes.extend(ignored::steps(&cargo, TESTED, has_nextest, ci));
     outcomes.extend(without_ssh(ci).map(|outcome| ("tests over ssh", (outcome, 0.0))));
-    outcomes.extend(trainer_steps(all || ci)?);
+    outcomes.extend(trainer_steps(trainer)?);
     conclude(&outcomes)
 }
 
@@ -222,14 +225,18 @@ fn without_ssh(ci: bool) -> Option<Outcome> {
     (!Path::new("/usr/sbin/sshd").exists()).then_some(missing)
 }
 
-/// Lints, types and tests of the trainer. Without `--all` and outside of CI they are skipped if PyTorch (5 GB) is not
-/// installed.
-fn trainer_steps(install: bool) -> Result<Vec<Step>> {
-    if !install && !trainer::is_installed() {
+/// Lints, types and tests of the trainer, when `installing` has ended. Without `--all` and outside of CI nothing is installed, and they
+/// are skipped if PyTorch (5 GB) is not there.
+fn trainer_steps(installing: Option<JoinHandle<Result<PathBuf>>>) -> Result<Vec<Step>> {
+    if installing.is_none() && !trainer::is_installed() {
         let why = "PyTorch is not installed; `cargo xtask test --all` installs it (5 GB)";
         return Ok(vec![("trainer", (Outcome::Skipped(why), 0.0))]);
     }
-    let python = trainer::install()?;
+    let python = match installing.map(JoinHandle::join) {
+        Some(Ok(installed)) => installed?,
+        Some(Err(_)) => bail!("the installation of the trainer panicked"),
+        None => trainer::install()?,
+    };
     let processes = trainer::test_processes();
     let pytest =
         format!("pytest --quiet --numprocesses {processes} --dist loadgroup --durations 15");
