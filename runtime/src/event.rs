@@ -68,6 +68,8 @@ pub enum Event {
         /// The kind of the difference.
         how: WheelError,
     },
+    /// The gyroscope has contradicted the scans so often that it is not used any more in this run.
+    GyroscopeRefused,
     /// A sensor or a wheel is no longer as it was at the beginning of the run. It comes once for each change.
     CalibrationChanged {
         /// What has changed, by how much and since when.

@@ -16,12 +16,16 @@ pub enum Refusal {
     Backwards,
     #[error("a time is in the future; times must be of the monotonic clock")]
     Future,
+    #[error("a time is more than a second ago; times must be of the monotonic clock")]
+    Old,
 }
 
 /// 5,700 degrees per second: MEMS gyroscopes measure up to 2,000 to 4,000.
 const FASTEST_RADPS: f64 = 100.0;
 /// Drivers that count time on the chip estimate the offset between the clocks, and a sample may then be slightly ahead.
 const AHEAD_NS: u64 = 20_000_000;
+/// An older sample is of another clock, such as one that counts from the start of the unit. No driver keeps samples for so long.
+const OLDEST_NS: u64 = 1_000_000_000;
 
 /// Refuses samples that cannot be.
 #[derive(Debug, Clone, Default)]
@@ -47,6 +51,9 @@ impl SampleCheck {
         if sample.time_ns > now_ns.saturating_add(AHEAD_NS) {
             return Err(Refusal::Future);
         }
+        if sample.time_ns.saturating_add(OLDEST_NS) < now_ns {
+            return Err(Refusal::Old);
+        }
         self.last_ns = sample.time_ns;
         Ok(())
     }
@@ -62,10 +69,11 @@ mod tests {
 
     #[test]
     fn samples_that_cannot_be_are_refused_and_the_next_good_one_is_accepted() {
-        let now_ns = 1_000_000_000;
+        let now_ns = 1_000_000_550;
         let mut check = SampleCheck::default();
         for (time_ns, radps, result) in [
-            (500, 1.0, Ok(())),
+            (549, 1.0, Err(Refusal::Old)),
+            (550, 1.0, Ok(())),
             (600, f64::NAN, Err(Refusal::NotFinite)),
             (600, -100.1, Err(Refusal::TooFast)),
             (600, -100.0, Ok(())),

@@ -10,10 +10,12 @@ hal::settings! {
     /// An inertial measurement unit, or a gyroscope alone, of Linux's Industrial I/O. It is optional.
     pub struct ImuConfig {
         /// Name of the unit, as `cat /sys/bus/iio/devices/*/name` shows it (`bmi160`, `lsm6dsox_gyro`, `gyro_3d`), its folder
-        /// (`/sys/bus/iio/devices/iio:device0`), or `unix:PATH` of a simulated unit. Empty: the robot has none.
+        /// (`/sys/bus/iio/devices/iio:device0`), or `unix:PATH`, a socket of another program
+        /// (docs/imu.md). Empty: the robot has none.
         device: String = String::new();
-        /// Samples per second that the unit is asked for. It takes the nearest rate that it has.
-        rate_hz: f64 = 100.0, in 10.0..=1000.0, unit "Hz";
+        /// Samples per second that the unit is asked for. It takes the nearest rate that it has. With fewer than 50, angles would be
+        /// interrupted between two samples.
+        rate_hz: f64 = 100.0, in 50.0..=1000.0, unit "Hz";
         /// Name of the IIO trigger that starts each measurement, for a unit that has none of its own.
         trigger: String = String::new();
         /// Without a sample for this long the unit counts as silent.
@@ -42,6 +44,10 @@ pub enum ImuPlace<'a> {
 const LEAST_PERIODS: f64 = 2.0;
 
 impl ImuConfig {
+    /// The lowest rate with which angles are not interrupted between two samples, Hz: that of samples 50 ms apart, with room for late
+    /// ones (`runtime::imu::ImuHistory`).
+    pub(super) const LEAST_HZ: f64 = 50.0;
+
     /// Whether the robot has such a unit.
     #[must_use]
     pub fn is_used(&self) -> bool {
@@ -128,9 +134,9 @@ mod tests {
         for (text, answer) in [
             ("device = \"unix:imu\"", "give the whole path"),
             ("device = \"iio/device0\"", "give the whole path"),
-            ("rate_hz = 5.0", "10.0 to 1000.0 Hz"),
-            ("rate_hz = nan", "10.0 to 1000.0 Hz"),
-            ("rate_hz = 12.5", "raise it to 160 or more"),
+            ("rate_hz = 25.0", "50.0 to 1000.0 Hz"),
+            ("rate_hz = nan", "50.0 to 1000.0 Hz"),
+            ("rate_hz = 60.0\ntimeout_ms = 20", "raise it to 34 or more"),
             ("timeout_ms = 0", "10 to 2000 ms"),
             ("yaw_deg = 181.0", "-180.0 to 180.0 deg"),
         ] {

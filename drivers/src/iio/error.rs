@@ -30,6 +30,12 @@ pub enum ImuError {
          package (60-embodied-depth.rules) and add the user to that group", .path.display()
     )]
     Denied { path: PathBuf },
+    /// A socket of another program may not be connected to by this user.
+    #[error(
+        "IMU: no permission for the socket {}; its program must give the user of `firmware-host` write permission, outside of /home and /tmp",
+        .path.display()
+    )]
+    SocketDenied { path: PathBuf },
     /// Another program reads the device.
     #[error("IMU: {} is used by another program, often iio-sensor-proxy; `fuser -v {}` shows which",
         .path.display(), .path.display())]
@@ -66,7 +72,9 @@ impl hal::Error for ImuError {
         match self {
             Self::Absent { .. } | Self::Gone { .. } => ErrorKind::Disconnected,
             Self::Silent { .. } | Self::Refused { .. } => ErrorKind::Timeout,
-            Self::Denied { .. } | Self::Busy { .. } => ErrorKind::Rejected,
+            Self::Denied { .. } | Self::SocketDenied { .. } | Self::Busy { .. } => {
+                ErrorKind::Rejected
+            }
             Self::Config { .. } | Self::Unsupported { .. } => ErrorKind::Unsupported,
             Self::Thread { .. } | Self::Attribute { .. } => ErrorKind::Other,
         }

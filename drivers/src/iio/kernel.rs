@@ -228,6 +228,13 @@ impl Device {
             None => None,
         };
         let rate_hz = of_trigger.or(of_sensor);
+        if let Some(rate_hz) = rate_hz.filter(|rate_hz| *rate_hz < ImuConfig::LEAST_HZ) {
+            return Err(self.unsupported(format!(
+                "it gives {rate_hz} samples per second, and angles between two samples need {} or more; set `rate_hz` to a higher rate \
+                 that it has",
+                ImuConfig::LEAST_HZ
+            )));
+        }
         let least_ms = rate_hz.map_or(0, ImuConfig::least_timeout_ms);
         if config.timeout_ms < least_ms {
             return Err(self.unsupported(format!(

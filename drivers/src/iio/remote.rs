@@ -17,6 +17,7 @@ pub(super) fn connect(path: &Path, device: &Arc<str>) -> Result<OwnedFd, ImuErro
             device: Arc::clone(device),
             what: format!("no program accepts connections there ({errno})"),
         },
+        Errno::ACCESS | Errno::PERM => ImuError::SocketDenied { path: path.to_owned() },
         errno => failed(path.to_owned(), "cannot be connected to".to_owned(), errno.into()),
     })
 }

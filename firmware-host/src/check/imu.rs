@@ -1,7 +1,7 @@
 //! Tests the inertial measurement unit: that its samples come, and that gravity agrees with its mount.
 
 use drivers::DeviceState;
-use drivers::iio::{IioImu, ImuConfig, ImuSetup};
+use drivers::iio::{IioImu, ImuConfig, ImuSetup, QUEUE};
 use hal::{Imu, ImuMount, ImuSample};
 use nalgebra::Vector3;
 
@@ -25,7 +25,8 @@ pub fn test(config: &ImuConfig) -> Option<Finding> {
     };
     let mut mean = Mean::default();
     let measured = measure(|| {
-        while let Ok(Some(sample)) = device.poll_sample() {
+        for _ in 0..QUEUE {
+            let Ok(Some(sample)) = device.poll_sample() else { break };
             mean.add(&sample);
         }
         device.status()

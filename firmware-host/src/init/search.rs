@@ -93,7 +93,15 @@ impl Places {
                 .iter()
                 .any(|axis| device.join(format!("in_anglvel_{axis}_raw")).exists())
         });
-        gyroscopes.map(|device| attribute(&device, "name").trim().to_owned()).collect()
+        let gyroscopes: Vec<(String, PathBuf)> = gyroscopes
+            .map(|device| (attribute(&device, "name").trim().to_owned(), device))
+            .collect();
+        // A name that two devices have does not tell which is meant, but a folder does.
+        let name_of = |(name, device): &(String, PathBuf)| {
+            let alike = gyroscopes.iter().filter(|(other, _)| other == name).count();
+            if alike == 1 { name.clone() } else { device.display().to_string() }
+        };
+        gyroscopes.iter().map(name_of).collect()
     }
 
     /// The file in `dev` of an entry in `sys/class`.

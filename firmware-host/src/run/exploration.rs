@@ -210,6 +210,9 @@ impl RunLog {
                 Event::Lost { .. }
                     | Event::Found { .. }
                     | Event::StandsLost
+                    | Event::StandsTilted { .. }
+                    | Event::LevelAgain
+                    | Event::GyroscopeRefused
                     | Event::WheelsContradicted { .. }
                     | Event::CalibrationChanged { .. }
             ) {

@@ -9,6 +9,8 @@ use super::ImuInput;
 
 /// Samples are kept for this long; the latency of cameras is lower.
 const KEPT_NS: u64 = 1_000_000_000;
+/// Samples that are nearer than this to the one before are left out, so that memory is bounded: no unit is faster than 1.6 kHz.
+const LEAST_NS: u64 = 500_000;
 /// A longer time between two samples is an interruption: the robot may have rotated meanwhile.
 const GAP_NS: u64 = 50_000_000;
 /// No robot of this kind rotates faster, rad/s. A unit that reports it is broken, or the robot is in the air.
@@ -31,6 +33,8 @@ struct Angle {
 pub struct ImuHistory {
     /// Oldest first.
     angles: VecDeque<Angle>,
+    /// Time of the newest sample that was taken; 0 before the first.
+    newest_ns: u64,
     /// Rate of the newest sample, rad/s.
     rate_radps: f64,
     gaps: u32,
@@ -43,10 +47,11 @@ impl ImuHistory {
     /// interrupts the samples.
     pub fn push(&mut self, sample: &ImuSample) {
         let rate_radps = sample.angular_radps[2];
-        let newest = self.angles.back().copied();
-        if !sample.is_finite() || newest.is_some_and(|newest| sample.time_ns <= newest.time_ns) {
+        if !sample.is_finite() || sample.time_ns < self.newest_ns.saturating_add(LEAST_NS) {
             return;
         }
+        let newest = self.angles.back().copied();
+        self.average(sample);
         if rate_radps.abs() > FASTEST_RADPS {
             self.interrupt();
             return;
@@ -57,13 +62,9 @@ impl ImuHistory {
             Some(newest) if time_ns - newest.time_ns <= GAP_NS => {
                 let seconds = (time_ns - newest.time_ns) as f64 * 1e-9;
                 yaw_rad = newest.yaw_rad + 0.5 * (self.rate_radps + rate_radps) * seconds;
-                self.average(sample, seconds);
             }
-            Some(_) => {
-                self.interrupt();
-                self.force_mps2 = sample.force_mps2.map(Vector3::from);
-            }
-            None => self.force_mps2 = sample.force_mps2.map(Vector3::from),
+            Some(_) => self.interrupt(),
+            None => {}
         }
         self.rate_radps = rate_radps;
         self.angles.push_back(Angle { time_ns, yaw_rad });
@@ -80,7 +81,10 @@ impl ImuHistory {
         }
     }
 
-    fn average(&mut self, sample: &ImuSample, seconds: f64) {
+    /// Takes the specific force of a sample, also of one that is too fast.
+    fn average(&mut self, sample: &ImuSample) {
+        let seconds = (sample.time_ns - self.newest_ns) as f64 * 1e-9;
+        self.newest_ns = sample.time_ns;
         let Some(force) = sample.force_mps2.map(Vector3::from) else {
             self.force_mps2 = None;
             return;

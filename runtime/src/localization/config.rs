@@ -41,7 +41,7 @@ hal::settings! {
         gyro_noise: f64 = 0.0005, in 0.000001..=0.1, unit "rad", source "four times a BMI160's 0.007 deg/s per root hertz, for vibrations";
         /// A robot whose inertial unit measures a larger tilt stands and maps nothing until it is 3 degrees below it: it is on a ramp or
         /// an obstacle, or was lifted.
-        most_tilt_deg: f64 = 10.0, in 4.0..=60.0, unit "deg", source "a wheelchair ramp has 5; thresholds tilt a small robot by less";
+        most_tilt_deg: f64 = 10.0, in 8.0..=60.0, unit "deg", source "a wheelchair ramp has 5; thresholds tilt a small robot by less";
         /// Standard deviation of one range. The scanner's own figure is usually lower; walls and furniture are not quite flat.
         range_noise_m: f64 = 0.02, in 0.001..=0.2, unit "m", source "UTM-30LX data sheet: 10 to 30 mm";
         /// Ranges beyond this are not used: the gaps between their beams are too wide to know a surface by.

@@ -15,17 +15,26 @@ use super::yaw_errors::{MAX_SURPRISE, YawErrors};
 /// stands, an LSM6DSOX by 1, both are wrong by 1 to 3 % of a rotation.
 const FIRST_BIAS_RADPS: f64 = 0.05;
 const FIRST_SCALE: f64 = 0.03;
-/// Random walk of the bias, rad/s after one second: warming up by 10 degrees in five minutes, with 0.05 degrees per second and degree.
+/// Random walk of the bias, rad/s after one second: its temperature changes by a degree in five minutes, with 0.05 degrees per second
+/// for each degree.
 const BIAS_WALK_RADPS: f64 = 5e-5;
 /// Change of the scale over one radian.
 const SCALE_WALK: f64 = 0.0005;
 /// The numbers are learnt from stretches of this length: a second, or a rotation by this angle.
 const LEG_S: f64 = 1.0;
 const LEG_RAD: f64 = 0.3;
+/// A stretch that took longer, as while no scan fits, says little.
+const LONGEST_LEG_S: f64 = 60.0;
 /// After this many surprises one after the other, what was learnt is wrong, or the unit is worse than most: an MPU-6050 rotates by up to
 /// 20 degrees per second while it stands. It is learnt again from this standard deviation on.
 const MAX_SURPRISES: u32 = 5;
 const ANY_BIAS_RADPS: f64 = 0.5;
+/// Rotations that agree with the scans end a row of surprises; straight stretches do not, because a unit with the wrong sign agrees there.
+const ROTATION_RAD: f64 = 0.2;
+/// A unit that had to be learnt anew this often, without as many rotations in between as below, measures something else than the yaw of
+/// the robot: its axis or its sign is wrong. It is not used any more.
+const MAX_RESETS: u32 = 3;
+const AGREEING_ROTATIONS: u32 = 20;
 
 /// An integrated angle of the gyroscope.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -52,6 +61,9 @@ pub(crate) struct GyroModel {
     /// Per second, and per radian.
     errors: YawErrors,
     surprises: u32,
+    resets: u32,
+    /// Rotations that agreed since the last surprise.
+    agreeing: u32,
     last: Option<GyroAngle>,
     /// Yaw by the scans at the beginning of the stretch, and its variance.
     from: Option<(f64, f64)>,
@@ -65,6 +77,8 @@ impl GyroModel {
             noise: config.gyro_noise,
             errors: YawErrors::new([FIRST_BIAS_RADPS, FIRST_SCALE]),
             surprises: 0,
+            resets: 0,
+            agreeing: 0,
             last: None,
             from: None,
             seconds: 0.0,
@@ -76,19 +90,28 @@ impl GyroModel {
     pub(crate) fn advance(&mut self, now: Option<GyroAngle>) -> Option<Rotation> {
         let reported = self.since_last(now);
         self.last = now;
+        let reported = reported.filter(|_| !self.is_refused());
         let Some(reported) = reported else {
             self.forget_leg();
             return None;
         };
+        let bias_change = BIAS_WALK_RADPS * BIAS_WALK_RADPS * reported.x.abs();
+        let scale_change = SCALE_WALK * SCALE_WALK * reported.y.abs();
+        self.errors.forget([bias_change, scale_change]);
         self.seconds += reported.x;
         self.yaw_rad += reported.y;
         Some(self.correct(&reported))
     }
 
-    /// Mean yaw rate since the last angle, rad/s; `None` without one, and after an interruption.
-    pub(crate) fn rate_radps(&self, now: Option<GyroAngle>) -> Option<f64> {
-        let reported = self.since_last(now).filter(|reported| reported.x > 1e-3)?;
-        Some(self.correct(&reported).yaw_rad / reported.x)
+    /// As [`advance`](Self::advance), without moving on.
+    pub(crate) fn rotation(&self, now: Option<GyroAngle>) -> Option<Rotation> {
+        let reported = self.since_last(now).filter(|_| !self.is_refused())?;
+        Some(self.correct(&reported))
+    }
+
+    /// The unit contradicts the scans again and again, and is not used any more.
+    pub(crate) fn is_refused(&self) -> bool {
+        self.resets >= MAX_RESETS
     }
 
     /// Seconds and radians since the last angle. Both are negative where the scan is older than the wheels before it.
@@ -121,19 +144,36 @@ impl GyroModel {
         if self.seconds < LEG_S && self.yaw_rad.abs() < LEG_RAD {
             return;
         }
-        let bias_change = BIAS_WALK_RADPS * BIAS_WALK_RADPS * self.seconds.abs();
-        let scale_change = SCALE_WALK * SCALE_WALK * self.yaw_rad.abs();
-        self.errors.forget([bias_change, scale_change]);
+        if self.seconds > LONGEST_LEG_S {
+            self.begin_leg(yaw_rad, variance);
+            return;
+        }
         let reported = Vector2::new(self.seconds, self.yaw_rad);
         let unreported_rad = wrap_angle(yaw_rad - from_rad - self.yaw_rad);
         let noise = variance + from_variance + self.noise * self.noise * self.seconds.abs();
         let is_learnt = self.errors.learn(&reported, unreported_rad, noise);
-        self.surprises = if is_learnt { 0 } else { self.surprises + 1 };
+        self.judge(is_learnt);
+        self.begin_leg(yaw_rad, variance);
+    }
+
+    /// Takes note whether a stretch agreed with what was learnt.
+    fn judge(&mut self, agrees: bool) {
+        let rotates = self.yaw_rad.abs() > ROTATION_RAD;
+        if !agrees {
+            self.agreeing = 0;
+            self.surprises = self.surprises.saturating_add(1);
+        } else if rotates {
+            self.surprises = 0;
+            self.agreeing = self.agreeing.saturating_add(1);
+        }
+        if self.agreeing >= AGREEING_ROTATIONS {
+            self.resets = 0;
+        }
         if self.surprises >= MAX_SURPRISES {
             self.errors = YawErrors::new([ANY_BIAS_RADPS, FIRST_SCALE]);
             self.surprises = 0;
+            self.resets = self.resets.saturating_add(1);
         }
-        self.begin_leg(yaw_rad, variance);
     }
 
     fn begin_leg(&mut self, yaw_rad: f64, variance: f64) {

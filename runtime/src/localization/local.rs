@@ -209,11 +209,15 @@ impl LocalTracker {
         let seconds = time_ns.saturating_sub(self.last_time_ns) as f64 * 1e-9;
         self.last_time_ns = time_ns;
         let Some(last) = self.last_wheel.filter(|_| seconds > 1e-3) else { return };
-        let motion = self.wheel.correct(&last.inverse().compose(wheel)).pose;
+        let by_wheels = self.wheel.correct(&last.inverse().compose(wheel));
+        let motion = match self.gyro.rotation(gyro) {
+            Some(rotation) => join(&by_wheels, &rotation).pose,
+            None => by_wheels.pose,
+        };
         self.velocity = Velocity {
             x_mps: motion.x_m / seconds,
             y_mps: motion.y_m / seconds,
-            yaw_radps: self.gyro.rate_radps(gyro).unwrap_or(motion.yaw_rad / seconds),
+            yaw_radps: motion.yaw_rad / seconds,
         };
     }
 
@@ -408,6 +412,8 @@ impl LocalTracker {
         stretches.clear();
         stretches.extend_from_slice(self.points.stretches());
         self.keyframes.push_back(Keyframe { pose: self.pose, stretches });
+        // Where there was nothing to match with, the pose is what it is, and no longer that of the wheels.
+        self.pose_by_wheels = self.pose;
         self.rebuild();
     }
 

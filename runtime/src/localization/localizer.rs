@@ -37,6 +37,8 @@ pub struct Estimate {
     pub whereabouts: Whereabouts,
     /// The wheels have begun to contradict the scans. The scans keep the pose.
     pub wheel_error: Option<WheelError>,
+    /// The gyroscope has contradicted the scans so often that it is not used any more, since this update.
+    pub gyro_refused: bool,
     /// The stretch of the drive that this update's scan ended, if it ended one.
     pub leg: Option<DrivenLeg>,
 }
@@ -133,6 +135,7 @@ impl Localizer {
             return self.estimate();
         }
         self.local.measure_velocity(wheel, gyro, time_ns);
+        let gyro_was_refused = self.local.gyro().is_refused();
         let mut tracked = None;
         let mut t_odom_base_at_scan = None;
         let mut wheel_error = None;
@@ -161,6 +164,7 @@ impl Localizer {
             matched: tracked.is_some_and(|tracked| tracked.matched),
             closed: self.global.revision() > revision,
             wheel_error,
+            gyro_refused: self.local.gyro().is_refused() && !gyro_was_refused,
             leg,
             ..self.estimate()
         }
@@ -336,6 +340,7 @@ impl Localizer {
             closed: false,
             whereabouts: self.whereabouts,
             wheel_error: None,
+            gyro_refused: false,
             leg: None,
         }
     }
@@ -446,6 +451,29 @@ mod tests {
             assert!((per_second + 0.02).abs() < 0.001, "{per_second}");
             assert!((per_radian + 0.01).abs() < 0.005, "{per_radian}");
         }
+    }
+
+    /// A unit that is mounted upside down, and is configured as if it were not.
+    #[test]
+    fn a_gyroscope_with_the_wrong_sign_is_found_out_and_the_scans_keep_the_pose() {
+        let mut robot = TestRobot::in_room(8);
+        let mut localizer = localizer(&robot);
+        let mut poses = Vec::new();
+        let mut refused = 0;
+        for (forward_m, yaw_rad) in round_trip(2000) {
+            robot.step(forward_m, yaw_rad);
+            let scan = robot.scan();
+            let scan = Some((&scan, &robot.wheel));
+            let ImuInput { yaw_rad, yaw_at_scan_rad, .. } = robot.imu();
+            let imu =
+                ImuInput { yaw_rad: -yaw_rad, yaw_at_scan_rad: -yaw_at_scan_rad, ..robot.imu() };
+            let estimate = localizer.update_with_imu(&robot.wheel, robot.time_ns, scan, Some(&imu));
+            refused += usize::from(estimate.gyro_refused);
+            poses.push((robot.truth, estimate.t_odom_base));
+        }
+        assert_eq!(refused, 1);
+        let [metres, radians] = relative_errors(&poses, 7);
+        assert!(metres < 0.01 && radians < 0.01, "{metres} m, {radians} rad");
     }
 
     /// A blind robot whose wheels report rotations that do not happen: 0.07 rad in each of 30 ticks, after it has driven for a while.

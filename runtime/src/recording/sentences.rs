@@ -68,12 +68,19 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         ),
         Event::StandsTilted { tilt_deg } => (
             Warning,
-            format!("stopped: the robot is tilted by {tilt_deg:.0} degrees; put it on level floor"),
+            format!(
+                "stopped: the robot is tilted by {tilt_deg:.0} degrees; put it on level floor, or correct the mount in [devices.imu]"
+            ),
         ),
         Event::LevelAgain => (Info, "the robot is level again".to_owned()),
         Event::WheelsContradicted { how } => {
             (Warning, format!("wheels and scans disagree: {}", wheel_error(*how)))
         }
+        Event::GyroscopeRefused => (
+            Warning,
+            "the gyroscope contradicts the scans and is not used any more: check the mount in [devices.imu]"
+                .to_owned(),
+        ),
         Event::CalibrationChanged { change } => (Warning, changed(change)),
         Event::OutsidePosesSilent => (
             Warning,

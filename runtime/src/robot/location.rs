@@ -52,6 +52,8 @@ pub(super) struct Located {
     /// Whether `t_map_odom` is known.
     pub whereabouts: Whereabouts,
     pub wheel_error: Option<WheelError>,
+    /// The gyroscope is not used any more, since this tick.
+    pub gyro_refused: bool,
     /// The stretch of the drive that this tick's scan ended, if it ended one.
     pub leg: Option<DrivenLeg>,
 }
@@ -64,7 +66,13 @@ impl Located {
             t_map_odom: Pose2::IDENTITY,
             t_odom_base_at_scan: at_scan,
         };
-        Self { poses, whereabouts: Whereabouts::Localized, wheel_error: None, leg: None }
+        Self {
+            poses,
+            whereabouts: Whereabouts::Localized,
+            wheel_error: None,
+            gyro_refused: false,
+            leg: None,
+        }
     }
 }
 
@@ -112,6 +120,7 @@ impl Location {
             poses: self.poses(&estimate),
             whereabouts: estimate.whereabouts,
             wheel_error: estimate.wheel_error,
+            gyro_refused: estimate.gyro_refused,
             leg: estimate.leg,
         }
     }

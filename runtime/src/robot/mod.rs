@@ -309,6 +309,8 @@ impl Robot {
         if version > SNAPSHOT_WITHOUT_IMU {
             self.location.read_gyro(&mut from)?;
             self.tilt.read(&mut from)?;
+        } else {
+            self.tilt = Tilt::default();
         }
         match from.len() {
             0 => Ok(()),
@@ -354,8 +356,11 @@ impl Robot {
             sound
         });
         events.extend(input.safety.events.iter().map(|what| Event::Safety { what: *what }));
-        let tilt_rad = input.imu.and_then(|imu| imu.tilt_rad);
-        self.tilt.observe(tilt_rad, self.config.localization.most_tilt_deg, &mut events);
+        let tilt_rad = input.imu.and_then(|imu| imu.tilt_rad).filter(|tilt| tilt.is_finite());
+        let most_deg = self.config.localization.most_tilt_deg;
+        self.tilt.observe(tilt_rad, input.time_ns, most_deg, &mut events);
+        // The scan of a tilted robot shows floor and ceiling as walls.
+        let scan = scan.filter(|_| !self.tilt.is_tilted());
         self.localize(input, scan, &mut events);
         self.note_blocked(input);
         let t_odom_camera = self.poses.t_odom_base_at_frame.to_pose3() * self.config.t_base_camera;
@@ -367,7 +372,7 @@ impl Robot {
         self.find_camera_time(input);
         self.watch_calibration(input, &mut events);
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
-        let is_mapped = self.whereabouts == Whereabouts::Localized && !self.tilt.is_tilted();
+        let is_mapped = self.is_mapping();
         if is_mapped {
             self.update_map(scan);
         }
@@ -465,12 +470,17 @@ impl Robot {
         }
     }
 
+    /// Whether what the robot sees enters its map and its memory.
+    fn is_mapping(&self) -> bool {
+        self.whereabouts == Whereabouts::Localized && !self.tilt.is_tilted()
+    }
+
     /// Completes this frame's coarse depth, or its lack of parallax. Whether there is dense depth.
     fn complete(&mut self, time_ns: u64, coarse: Result<(), NoDepth>) -> bool {
         let has_image = coarse.map_or_else(NoDepth::has_image, |()| true);
         let completes = has_image && self.config.dense.enabled;
         if completes {
-            let is_sure = self.whereabouts == Whereabouts::Localized;
+            let is_sure = self.is_mapping();
             let moment = Moment {
                 time_ns,
                 t_odom_base: self.poses.t_odom_base_at_frame,
@@ -705,6 +715,7 @@ impl Robot {
                 self.camera_time.at_exposure(&self.poses.t_odom_base, &input.wheel.twist);
         }
         events.extend(located.wheel_error.map(|how| Event::WheelsContradicted { how }));
+        events.extend(located.gyro_refused.then_some(Event::GyroscopeRefused));
         let was_lost = std::mem::replace(&mut self.whereabouts, located.whereabouts).lost();
         match (was_lost, located.whereabouts.lost()) {
             (None, Some(why)) => self.note_lost(why, events),

@@ -6,22 +6,32 @@ use crate::event::Event;
 
 /// A robot is level again when its tilt is this much less than the one at which it stands: it must not start and stop on the edge.
 const HYSTERESIS_DEG: f64 = 3.0;
+/// A tilt counts for this long. Samples are interrupted for a moment where a robot is shaken or its computer is busy.
+const KNOWN_NS: u64 = 1_000_000_000;
 
 /// Whether the robot is tilted.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Tilt {
     is_tilted: bool,
+    /// When the tilt was measured last.
+    measured_ns: u64,
 }
 
 impl Tilt {
-    /// Takes a tick's tilt; it is `None` for a robot that does not measure it, or whose unit is silent: such a robot goes on as one
-    /// without a unit. Changes are noted in `events`.
+    /// Takes a tick's tilt; it is `None` for a robot that does not measure it. A robot whose unit has been silent for a second goes on
+    /// as one without a unit. Changes are noted in `events`.
     pub(super) fn observe(
         &mut self,
         tilt_rad: Option<f64>,
+        time_ns: u64,
         most_deg: f64,
         events: &mut Vec<Event>,
     ) {
+        if tilt_rad.is_some() {
+            self.measured_ns = time_ns;
+        } else if time_ns.saturating_sub(self.measured_ns) <= KNOWN_NS {
+            return;
+        }
         let tilt_deg = tilt_rad.unwrap_or_default().to_degrees();
         let limit_deg = if self.is_tilted { most_deg - HYSTERESIS_DEG } else { most_deg };
         let was_tilted = std::mem::replace(&mut self.is_tilted, tilt_deg > limit_deg);
@@ -52,8 +62,9 @@ mod tests {
         let mut tilt = Tilt::default();
         let mut events = Vec::new();
         let mut stands = Vec::new();
-        for degrees in tilts_deg {
-            tilt.observe(degrees.map(f64::to_radians), 10.0, &mut events);
+        for (tick, degrees) in (0..).zip(tilts_deg) {
+            let time_ns = tick * 400_000_000;
+            tilt.observe(degrees.map(f64::to_radians), time_ns, 10.0, &mut events);
             stands.push(tilt.is_tilted());
         }
         (stands, events)
@@ -70,10 +81,13 @@ mod tests {
     }
 
     #[test]
-    fn a_unit_that_falls_silent_ends_the_stop() {
-        let (stands, events) = events_of(&[Some(20.0), None, None]);
-        assert_eq!(stands, [true, false, false]);
+    fn a_unit_that_is_silent_for_a_second_ends_the_stop_and_a_moment_does_not() {
+        let (stands, events) = events_of(&[Some(20.0), None, None, None, None]);
+        assert_eq!(stands, [true, true, true, false, false]);
         assert_eq!(events.len(), 2);
+        let (stands, events) = events_of(&[Some(20.0), None, None, Some(19.0), None]);
+        assert_eq!(stands, [true; 5]);
+        assert_eq!(events.len(), 1);
     }
 
     #[test]

@@ -29,6 +29,8 @@ use crate::task::{AreaChange, AreaTooFar, NotFinite, Task};
 use crate::tick::{Decision, SafetyReport, TickInput};
 use wheel_history::WheelHistory;
 
+/// Samples of the inertial unit that one tick takes: two seconds of a fast unit. The others wait.
+const MOST_SAMPLES: usize = 2000;
 /// Orders that wait for one tick. More than a second's worth comes only while there are no ticks.
 const MOST_ORDERS: usize = 64;
 
@@ -141,7 +143,8 @@ impl<D: Devices> Session<D> {
         observer.started();
         let frame_ns = self.devices.poll_frame();
         self.port.update(&mut self.wheels, &mut self.report);
-        while let Some(sample) = self.devices.poll_imu() {
+        for _ in 0..MOST_SAMPLES {
+            let Some(sample) = self.devices.poll_imu() else { break };
             self.imu.push(&sample);
         }
         let time_ns = self.devices.now_ns();

@@ -12,6 +12,9 @@ use crate::error::SceneError;
 use crate::random::normal;
 
 const GRAVITY_MPS2: f64 = 9.81;
+/// A person who carries the robot rotates it at this rate, rad/s. It is put down before that is over, because the simulated robot is carried
+/// at once.
+const CARRIED_RADPS: f64 = 2.0;
 /// Samples that are older are lost when nothing has fetched them: the trail of true poses does not reach further back.
 const KEPT_NS: u64 = 900_000_000;
 
@@ -134,8 +137,10 @@ impl State {
         let middle_ns = start_ns + period_ns / 2;
         let rotation = attitude(start_ns).inverse() * attitude(start_ns + period_ns);
         let up = attitude(middle_ns).inverse() * Vector3::z();
-        // A robot that was carried was rotated meanwhile.
-        let carried_rad = std::mem::take(&mut self.carried_rad);
+        // A robot that was carried was rotated meanwhile, at a speed at which a person rotates it.
+        let most_rad = CARRIED_RADPS * period_ns as f64 * 1e-9;
+        let carried_rad = self.carried_rad.clamp(-most_rad, most_rad);
+        self.carried_rad -= carried_rad;
         let carried = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), carried_rad);
         Motion { middle_ns, rotation: rotation * carried, up }
     }

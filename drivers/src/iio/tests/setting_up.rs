@@ -113,7 +113,7 @@ fn the_nearest_rate_is_taken_and_one_that_is_too_slow_for_the_time_out_is_refuse
     drop(source);
     fake.write(available, "12.500000");
     let slow = refusal(&fake, &fake.config("gyro_3d"));
-    assert!(slow.contains("12.5 samples per second") && slow.contains("160 or more"), "{slow}");
+    assert!(slow.contains("12.5 samples per second") && slow.contains("50 or more"), "{slow}");
 }
 
 #[test]
