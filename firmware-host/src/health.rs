@@ -8,6 +8,7 @@ use comfy_table::{ContentArrangement, Table, presets::NOTHING};
 use hal::Clock;
 use monotonic_clock::MonotonicClock;
 use runtime::lidar_agreement::AgreementStats;
+use runtime::localization::Gyroscope;
 use runtime::safety::WheelError;
 
 use crate::cli::HealthArgs;
@@ -132,6 +133,9 @@ fn screen(status: &Status, now_unix_s: f64, columns: Option<usize>) -> String {
         let accuracy = depth_accuracy(line, &exploration.line_by_distance);
         let _ = writeln!(out, "depth        {accuracy}");
     }
+    if let Some(gyroscope) = &exploration.gyroscope {
+        let _ = writeln!(out, "gyroscope    {}", gyroscope_errors(gyroscope));
+    }
     if let Some(digest) = &exploration.model {
         let trial = if exploration.on_trial.is_some() { ", on trial" } else { "" };
         let _ = writeln!(out, "model        {}{trial}", digest.get(..12).unwrap_or(digest));
@@ -148,6 +152,19 @@ fn screen(status: &Status, now_unix_s: f64, columns: Option<usize>) -> String {
     }
     out.push('\n');
     fit::text(&out, columns)
+}
+
+/// Bias and scale of the gyroscope, as the scans show them.
+fn gyroscope_errors(gyroscope: &Gyroscope) -> String {
+    if gyroscope.is_refused {
+        return "contradicts the scans and is not used any more: check the mount in [devices.imu]"
+            .to_owned();
+    }
+    format!(
+        "{:+.2} degrees per second at rest, {:+.1} % of a rotation",
+        gyroscope.bias_radps.to_degrees(),
+        100.0 * gyroscope.scale
+    )
 }
 
 /// What the base reports about its supply and its temperature; `None` if it reports nothing.
@@ -284,6 +301,16 @@ mod tests {
         reporting.power = PowerStatus::new(&report, 80.0);
         let text = screen(&reporting, 100.5, None);
         assert!(text.contains("power        23.6 V, 41 degrees Celsius\n"), "{text}");
+        let mut with_imu = working();
+        with_imu.imu = Some(device("IMU bmi160"));
+        let gyroscope = Gyroscope { bias_radps: -0.02, scale: 0.004, is_refused: false };
+        with_imu.exploration.gyroscope = Some(gyroscope);
+        let text = screen(&with_imu, 100.5, None);
+        assert!(text.contains(" IMU bmi160  working"), "{text}");
+        let learnt = "gyroscope    -1.15 degrees per second at rest, +0.4 % of a rotation\n";
+        assert!(text.contains(learnt), "{text}");
+        with_imu.exploration.gyroscope = Some(Gyroscope { is_refused: true, ..gyroscope });
+        assert!(screen(&with_imu, 100.5, None).contains("gyroscope    contradicts the scans"));
         let mut disarmed = working();
         disarmed.pid = 7;
         disarmed.safety.state = "disarmed".to_owned();

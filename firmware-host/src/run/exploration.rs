@@ -100,6 +100,7 @@ impl Exploration {
             line: self.log.line.overall(),
             line_by_distance: self.log.line.by_distance(),
             calibration: calibration(robot, self.session.devices().now_ns()),
+            gyroscope: robot.gyroscope().filter(|_| self.session.devices().has_imu()),
             model: robot.network_digest(),
             on_trial: self.log.models.as_ref().and_then(LiveModels::on_trial).map(str::to_owned),
             mapped_m2: free as f64 * map.cell_m() * map.cell_m(),

@@ -31,6 +31,12 @@ impl LiveDevices {
     pub fn camera(&self) -> (DeviceStatus, Option<&String>) {
         (self.camera.injector().status(self.camera.inner().status()), self.problem.as_ref())
     }
+
+    /// Whether the robot has an inertial measurement unit.
+    #[must_use]
+    pub fn has_imu(&self) -> bool {
+        self.imu.is_some()
+    }
 }
 
 impl<C: Camera> LiveDevices<C> {

@@ -7,6 +7,7 @@ use drivers::{DeviceState, DeviceStatus};
 use hal::PowerReport;
 use runtime::calibration_watch::{Change, Measured};
 use runtime::lidar_agreement::AgreementStats;
+use runtime::localization::Gyroscope;
 use runtime::recording::changed;
 use serde::{Deserialize, Serialize};
 
@@ -182,6 +183,9 @@ pub struct ExplorationStatus {
     pub line_by_distance: Vec<AgreementStats>,
     /// What the robot finds of its own calibration.
     pub calibration: CalibrationStatus,
+    /// What was learnt of the gyroscope; absent without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gyroscope: Option<Gyroscope>,
     /// Digest of the model in use; absent without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,

@@ -189,7 +189,7 @@ impl GyroModel {
         self.yaw_rad = 0.0;
     }
 
-    /// Bias that the gyroscope reports too little, rad/s, and share of a rotation.
+    /// Radians per second, and radians per radian, that the gyroscope does not report.
     pub(crate) fn errors(&self) -> [f64; 2] {
         self.errors.numbers()
     }

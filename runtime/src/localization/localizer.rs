@@ -2,6 +2,7 @@
 
 use hal::{LaserScan, Pose2, ScanGeometry};
 use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
 
 use crate::imu::ImuInput;
 use crate::snapshot::{SnapshotError, State};
@@ -49,6 +50,17 @@ impl Estimate {
     pub fn t_map_base(&self) -> Pose2 {
         self.t_map_odom.compose(&self.t_odom_base)
     }
+}
+
+/// What localization has learnt of the gyroscope.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Gyroscope {
+    /// The rate that it reports at rest, rad/s.
+    pub bias_radps: f64,
+    /// Share by which it reports a rotation too large.
+    pub scale: f64,
+    /// It contradicts the scans, and is not used any more.
+    pub is_refused: bool,
 }
 
 /// Two submaps whose poses in each other were found by matching: a loop, or the place where a lost robot was found.
@@ -345,10 +357,15 @@ impl Localizer {
         }
     }
 
-    /// What the gyroscope does not report: radians per second, and radians per radian. Zero until it is learnt.
+    /// What was learnt of the gyroscope. Zero until then.
     #[must_use]
-    pub fn gyro_errors(&self) -> [f64; 2] {
-        self.local.gyro().errors()
+    pub fn gyroscope(&self) -> Gyroscope {
+        let [per_second, per_radian] = self.local.gyro().errors();
+        Gyroscope {
+            bias_radps: -per_second,
+            scale: -per_radian,
+            is_refused: self.local.gyro().is_refused(),
+        }
     }
 
     /// What the wheels do not report: radians per metre, radians per radian, metres per metre.
@@ -447,9 +464,9 @@ mod tests {
             // The bias is learnt in the first seconds.
             let [_, radians] = relative_errors(&poses[200..], 7);
             assert!(radians < 0.0005, "seed {seed}: {radians} rad");
-            let [per_second, per_radian] = localizer.gyro_errors();
-            assert!((per_second + 0.02).abs() < 0.001, "{per_second}");
-            assert!((per_radian + 0.01).abs() < 0.005, "{per_radian}");
+            let learnt = localizer.gyroscope();
+            assert!((learnt.bias_radps - 0.02).abs() < 0.001, "{learnt:?}");
+            assert!((learnt.scale - 0.01).abs() < 0.005, "{learnt:?}");
         }
     }
 

@@ -185,6 +185,30 @@ fn wheels_that_spin_for_three_seconds_are_reported_and_move_nothing() {
     }
 }
 
+/// Its wheels stand while a person rotates it, and its gyroscope does not.
+#[test]
+fn a_robot_with_a_gyroscope_that_was_carried_does_not_blame_its_wheels() {
+    let mut drive = Drive::through_flat();
+    let mut errors = Vec::new();
+    for tick in 0..60 {
+        if tick == 20 {
+            drive.localizer.lose(LostReason::Carried);
+        }
+        // It is rotated by 1.5 rad in the air.
+        let carried_rad = if (20..35).contains(&tick) { 0.1 } else { 0.0 };
+        let wheel = drive.robot.wheel;
+        drive.robot.step(0.0, carried_rad);
+        drive.robot.wheel = wheel;
+        let scan = drive.robot.scan();
+        let scan = Some((&scan, &wheel)).filter(|_| carried_rad == 0.0);
+        let imu = Some(drive.robot.imu());
+        let time_ns = drive.robot.time_ns;
+        let estimate = drive.localizer.update_with_imu(&wheel, time_ns, scan, imu.as_ref());
+        errors.extend(estimate.wheel_error);
+    }
+    assert_eq!(errors, []);
+}
+
 /// The wheels of the robot that made the log FR079 do so.
 #[test]
 fn wheels_that_report_a_drive_back_as_one_ahead_are_named_and_the_scans_keep_the_pose() {

@@ -43,7 +43,7 @@ mod yaw_errors;
 pub use config::{LocalizationConfig, PoseSource};
 pub use driven_leg::{DrivenLeg, ScanVariances};
 pub use error::LocalizationError;
-pub use localizer::{Closure, Estimate, Localizer};
+pub use localizer::{Closure, Estimate, Gyroscope, Localizer};
 pub use lost::{LostReason, Whereabouts};
 pub use matcher::ScanFit;
 pub use slip::WheelError;

@@ -4,8 +4,8 @@ use hal::{LaserScan, Pose2, ScanGeometry};
 use serde::{Deserialize, Serialize};
 
 use crate::localization::{
-    DrivenLeg, Estimate, LocalizationConfig, LocalizationError, Localizer, LostReason, PoseSource,
-    WheelError, Whereabouts,
+    DrivenLeg, Estimate, Gyroscope, LocalizationConfig, LocalizationError, Localizer, LostReason,
+    PoseSource, WheelError, Whereabouts,
 };
 use crate::snapshot::{SnapshotError, State};
 use crate::tick::TickInput;
@@ -149,6 +149,11 @@ impl Location {
         let covariance = self.localizer.as_ref()?.estimate().covariance;
         let position_m = (covariance[(0, 0)] + covariance[(1, 1)]).max(0.0).sqrt();
         Some([position_m, covariance[(2, 2)].max(0.0).sqrt()])
+    }
+
+    /// What was learnt of the gyroscope; `None` before the first scan.
+    pub(super) fn gyroscope(&self) -> Option<Gyroscope> {
+        self.localizer.as_ref().map(Localizer::gyroscope)
     }
 
     /// The scanner that localization was made for.

@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 use crate::calibration_watch::CalibrationWatch;
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{Explorer, Observations};
-use crate::localization::{LocalizationError, Whereabouts};
+use crate::localization::{Gyroscope, LocalizationError, Whereabouts};
 use crate::mapping::{MapError, OccupancyGrid, SingleFrameMap, Surfaces};
 use crate::perception::{
     CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, Moment, NoDepth,
@@ -687,6 +687,12 @@ impl Robot {
     #[must_use]
     pub fn pose_std(&self) -> Option<[f64; 2]> {
         self.location.pose_std()
+    }
+
+    /// What was learnt of the gyroscope, if the robot has one; `None` before the first scan.
+    #[must_use]
+    pub fn gyroscope(&self) -> Option<Gyroscope> {
+        self.location.gyroscope()
     }
 
     /// The highest speed, m/s, and the highest yaw rate, rad/s, that the robot desires.
