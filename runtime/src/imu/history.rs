@@ -33,8 +33,8 @@ struct Angle {
 pub struct ImuHistory {
     /// Oldest first.
     angles: VecDeque<Angle>,
-    /// Time of the newest sample that was taken; 0 before the first.
-    newest_ns: u64,
+    /// Time of the newest sample that was taken.
+    newest_ns: Option<u64>,
     /// Rate of the newest sample, rad/s.
     rate_radps: f64,
     gaps: u32,
@@ -47,7 +47,8 @@ impl ImuHistory {
     /// interrupts the samples.
     pub fn push(&mut self, sample: &ImuSample) {
         let rate_radps = sample.angular_radps[2];
-        if !sample.is_finite() || sample.time_ns < self.newest_ns.saturating_add(LEAST_NS) {
+        let least_ns = self.newest_ns.map_or(0, |newest_ns| newest_ns.saturating_add(LEAST_NS));
+        if !sample.is_finite() || sample.time_ns < least_ns {
             return;
         }
         let newest = self.angles.back().copied();
@@ -83,8 +84,8 @@ impl ImuHistory {
 
     /// Takes the specific force of a sample, also of one that is too fast.
     fn average(&mut self, sample: &ImuSample) {
-        let seconds = (sample.time_ns - self.newest_ns) as f64 * 1e-9;
-        self.newest_ns = sample.time_ns;
+        let before_ns = self.newest_ns.replace(sample.time_ns).unwrap_or(sample.time_ns);
+        let seconds = (sample.time_ns - before_ns) as f64 * 1e-9;
         let Some(force) = sample.force_mps2.map(Vector3::from) else {
             self.force_mps2 = None;
             return;
