@@ -25,9 +25,10 @@ const LEG_S: f64 = 1.0;
 const LEG_RAD: f64 = 0.3;
 /// A stretch that took longer, as while no scan fits, says little.
 const LONGEST_LEG_S: f64 = 60.0;
-/// After this many surprises one after the other, what was learnt is wrong, or the unit is worse than most: an MPU-6050 rotates by up to
+/// A stretch that contradicts what was learnt makes the bias as uncertain as at the start, so that wheels count more until it is known
+/// again. After this many surprises one after the other, what was learnt is wrong, or the unit is worse than most: an MPU-6050 rotates by up to
 /// 20 degrees per second while it stands. It is learnt again from this standard deviation on.
-const MAX_SURPRISES: u32 = 5;
+const MAX_SURPRISES: u32 = 3;
 const ANY_BIAS_RADPS: f64 = 0.5;
 /// Rotations that agree with the scans end a row of surprises; straight stretches do not, because a unit with the wrong sign agrees there.
 const ROTATION_RAD: f64 = 0.2;
@@ -162,6 +163,7 @@ impl GyroModel {
         if !agrees {
             self.agreeing = 0;
             self.surprises = self.surprises.saturating_add(1);
+            self.errors.forget([FIRST_BIAS_RADPS * FIRST_BIAS_RADPS, 0.0]);
         } else if rotates {
             self.surprises = 0;
             self.agreeing = self.agreeing.saturating_add(1);
