@@ -152,7 +152,7 @@ impl Device {
         if times == Times::Measured {
             wanted.push(TIMESTAMP.to_owned());
         }
-        // Some chips can record only so many channels at once, so that the others go first.
+        // The others are switched off first, because some chips record a limited number of channels at once.
         for (is_wanted, value) in [(false, "0"), (true, "1")] {
             for channel in self.channels()? {
                 if wanted.contains(&channel) == is_wanted {

@@ -58,7 +58,7 @@ fn other_stops() -> [OtherStop; 5] {
         OtherStop {
             event: Event::StandsTilted { tilt_deg: 15.0 },
             condition: "an accelerometer in `[devices.imu]` measures a tilt above `localization.most_tilt_deg` (10 degrees)",
-            end: "a tilt of 3 degrees less, or the unit falls silent",
+            end: "a tilt of 3 degrees less, or no sample for a second",
             tests: "`tilt::tests::a_tilted_robot_stands_and_maps_nothing_until_it_is_level`",
         },
     ]

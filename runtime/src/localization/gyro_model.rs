@@ -3,12 +3,12 @@
 //! A gyroscope measures short rotations ten times better than wheels and scans do, but it rotates while it stands (bias), and reports
 //! each rotation a little too large or too small (scale). Scans say both, because what they measure does not drift.
 
-use hal::wrap_angle;
+use hal::{Pose2, wrap_angle};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use super::LocalizationConfig;
-use super::wheel_model::Motion;
+use super::wheel_model::{Motion, bent_chord};
 use super::yaw_errors::{MAX_SURPRISE, YawErrors};
 
 /// Before anything is learnt: standard deviations of bias and scale. Data sheets: a BMI160 rotates by up to 3 degrees per second while it
@@ -25,16 +25,16 @@ const LEG_S: f64 = 1.0;
 const LEG_RAD: f64 = 0.3;
 /// A stretch that took longer, as while no scan fits, says little.
 const LONGEST_LEG_S: f64 = 60.0;
-/// A stretch that contradicts what was learnt makes the bias as uncertain as at the start, so that wheels count more until it is known
-/// again. After this many surprises one after the other, what was learnt is wrong, or the unit is worse than most: an MPU-6050 rotates by up to
-/// 20 degrees per second while it stands. It is learnt again from this standard deviation on.
+/// After this many surprises without an agreeing rotation in between, what was learnt is wrong.
 const MAX_SURPRISES: u32 = 3;
+/// Standard deviation of the bias from which it is then learnt again: an MPU-6050 rotates by up to 20 degrees per second while it stands.
 const ANY_BIAS_RADPS: f64 = 0.5;
 /// Rotations that agree with the scans end a row of surprises; straight stretches do not, because a unit with the wrong sign agrees there.
 const ROTATION_RAD: f64 = 0.2;
-/// A unit that had to be learnt anew this often, without as many rotations in between as below, measures something else than the yaw of
-/// the robot: its axis or its sign is wrong. It is not used any more.
+/// A unit that had to be learnt again this often measures something else than the yaw of the robot: its axis or its sign is wrong. It is not
+/// used any more.
 const MAX_RESETS: u32 = 3;
+/// After this many agreeing rotations one after the other, the unit counts as one that never had to be learnt again.
 const AGREEING_ROTATIONS: u32 = 20;
 
 /// An integrated angle of the gyroscope.
@@ -163,6 +163,7 @@ impl GyroModel {
         if !agrees {
             self.agreeing = 0;
             self.surprises = self.surprises.saturating_add(1);
+            // The bias is as uncertain as at the start, so that wheels count more until it is known again.
             self.errors.forget([FIRST_BIAS_RADPS * FIRST_BIAS_RADPS, 0.0]);
         } else if rotates {
             self.surprises = 0;
@@ -179,9 +180,8 @@ impl GyroModel {
     }
 
     fn begin_leg(&mut self, yaw_rad: f64, variance: f64) {
+        self.forget_leg();
         self.from = Some((yaw_rad, variance));
-        self.seconds = 0.0;
-        self.yaw_rad = 0.0;
     }
 
     /// The present stretch says nothing: a scan did not fit, or the robot was carried.
@@ -211,17 +211,13 @@ pub(crate) fn join(motion: &Motion, rotation: &Rotation) -> Motion {
         correction *= by_wheels / both;
         covariance[(2, 2)] = by_wheels * rotation.variance / both;
     }
-    // The robot drove along an arc: its chord rotates by half of what the yaw was corrected by.
-    let (sin, cos) = (0.5 * correction).sin_cos();
-    let hal::Pose2 { x_m, y_m, yaw_rad } = motion.pose;
-    let pose = hal::Pose2::new(cos * x_m - sin * y_m, sin * x_m + cos * y_m, yaw_rad + correction);
-    Motion { pose, covariance }
+    let [x_m, y_m] = bent_chord(&motion.pose, correction);
+    Motion { pose: Pose2::new(x_m, y_m, motion.pose.yaw_rad + correction), covariance }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use hal::Pose2;
     use nalgebra::{Matrix3, Vector3};
 
     const TICK_S: f64 = 0.1;
@@ -289,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bias_that_jumps_is_learnt_anew() {
+    fn a_bias_that_jumps_is_learnt_again() {
         let mut bench = Bench::new();
         bench.drive(600, 0.02, 1.0);
         bench.drive(300, -0.3, 1.0);

@@ -95,13 +95,8 @@ impl WheelModel {
         let reported = Vector2::new(distance_m, raw.yaw_rad);
         let yaw_rad = raw.yaw_rad + self.yaw.unreported(&reported);
         let scale = 1.0 + self.distance_error;
-        // The robot drove along an arc: its chord rotates by half of what the yaw was corrected by.
-        let (sin, cos) = (0.5 * (yaw_rad - raw.yaw_rad)).sin_cos();
-        let pose = Pose2::new(
-            scale * (cos * raw.x_m - sin * raw.y_m),
-            scale * (sin * raw.x_m + cos * raw.y_m),
-            yaw_rad,
-        );
+        let [x_m, y_m] = bent_chord(raw, yaw_rad - raw.yaw_rad);
+        let pose = Pose2::new(scale * x_m, scale * y_m, yaw_rad);
         Motion { pose, covariance: self.covariance(&reported) }
     }
 
@@ -196,6 +191,12 @@ impl WheelModel {
         let [per_metre, per_radian] = self.yaw.numbers();
         [per_metre, per_radian, self.distance_error]
     }
+}
+
+/// Position at the end of a motion whose yaw is corrected. The robot drove along an arc: its chord rotates by half of the correction.
+pub(super) fn bent_chord(motion: &Pose2, correction_rad: f64) -> [f64; 2] {
+    let (sin, cos) = (0.5 * correction_rad).sin_cos();
+    [cos * motion.x_m - sin * motion.y_m, sin * motion.x_m + cos * motion.y_m]
 }
 
 /// Length of an increment, negative if it is backwards.
