@@ -8,6 +8,7 @@ use std::path::PathBuf;
 
 use drivers::DeviceState;
 use drivers::ld06::{self, Ld06Config};
+use drivers::lidar::{AnyLidar, LidarConfig, LidarKind};
 use drivers::rotary::{Mount, Place, RotaryLidar};
 use drivers::rplidar::{self, Model, RplidarConfig, ScanMode};
 use hal::{Clock, Error, ErrorKind, Range};
@@ -349,6 +350,29 @@ fn the_first_returned_scan_is_whole_and_few_beams_of_any_scan_are_unmeasured() {
     for _ in 0..5 {
         bench.until_scan();
         assert!(bench.error_share() < 0.02, "{}", bench.error_share());
+    }
+}
+
+#[test]
+fn a_configured_latency_is_subtracted_from_every_time_stamp() {
+    let (folder, path) = stable_path();
+    let sensor = Ld06Sensor::new(Box::new(CircleRoom), monotonic_ns());
+    let device = SimulatedLd06::on_pty(&path, sensor).unwrap();
+    let config = LidarConfig {
+        kind: LidarKind::Ld06,
+        port: drivers::Port::Serial(path),
+        latency_ms: 150.0,
+        ..LidarConfig::default()
+    };
+    let lidar = AnyLidar::open(&config).unwrap();
+    let monitor = lidar.monitor();
+    let mut bench = Bench::new(device, lidar, monitor, folder);
+    for _ in 0..3 {
+        bench.until_scan();
+        // A scan is known at its end at the earliest.
+        let scan = &bench.scan;
+        let ended_ns = scan.time_ns + scan.geometry.period_ns;
+        assert!(monotonic_ns() >= ended_ns + 150 * MS, "{ended_ns}");
     }
 }
 

@@ -10,7 +10,14 @@ use crate::{DeviceStatus, ld06, rplidar};
 
 /// The driver of the configured scanner.
 #[derive(Debug)]
-pub enum AnyLidar {
+pub struct AnyLidar {
+    scanner: Scanner,
+    /// Subtracted from every time stamp.
+    latency_ns: i64,
+}
+
+#[derive(Debug)]
+enum Scanner {
     Hokuyo(HokuyoLidar),
     Rotary(RotaryLidar),
 }
@@ -31,28 +38,29 @@ impl AnyLidar {
     /// When the configuration is invalid, or the system cannot create a thread or descriptor.
     pub fn open(config: &LidarConfig) -> Result<Self, AnyLidarError> {
         config.validate()?;
-        Ok(match config.kind {
-            LidarKind::Hokuyo => Self::Hokuyo(HokuyoLidar::open(config.hokuyo())?),
-            LidarKind::Rplidar => Self::Rotary(rplidar::open(config.place(), &config.rplidar)?),
-            LidarKind::Ld06 => Self::Rotary(ld06::open(config.place(), &config.ld06)?),
-        })
+        let scanner = match config.kind {
+            LidarKind::Hokuyo => Scanner::Hokuyo(HokuyoLidar::open(config.hokuyo())?),
+            LidarKind::Rplidar => Scanner::Rotary(rplidar::open(config.place(), &config.rplidar)?),
+            LidarKind::Ld06 => Scanner::Rotary(ld06::open(config.place(), &config.ld06)?),
+        };
+        Ok(Self { scanner, latency_ns: (config.latency_ms * 1e6) as i64 })
     }
 
     /// The scanner's state and counts. Takes no lock.
     #[must_use]
     pub fn status(&self) -> DeviceStatus {
-        match self {
-            Self::Hokuyo(lidar) => lidar.status(),
-            Self::Rotary(lidar) => lidar.status(),
+        match &self.scanner {
+            Scanner::Hokuyo(lidar) => lidar.status(),
+            Scanner::Rotary(lidar) => lidar.status(),
         }
     }
 
     /// A handle with which other threads read the state, the identity and the last problem.
     #[must_use]
     pub fn monitor(&self) -> LidarMonitor {
-        match self {
-            Self::Hokuyo(lidar) => lidar.monitor(),
-            Self::Rotary(lidar) => lidar.monitor(),
+        match &self.scanner {
+            Scanner::Hokuyo(lidar) => lidar.monitor(),
+            Scanner::Rotary(lidar) => lidar.monitor(),
         }
     }
 }
@@ -72,16 +80,20 @@ impl ErrorType for AnyLidar {
 
 impl Lidar for AnyLidar {
     fn geometry(&self) -> ScanGeometry {
-        match self {
-            Self::Hokuyo(lidar) => lidar.geometry(),
-            Self::Rotary(lidar) => lidar.geometry(),
+        match &self.scanner {
+            Scanner::Hokuyo(lidar) => lidar.geometry(),
+            Scanner::Rotary(lidar) => lidar.geometry(),
         }
     }
 
     fn poll_scan(&mut self, scan: &mut LaserScan) -> Result<bool, Self::Error> {
-        Ok(match self {
-            Self::Hokuyo(lidar) => lidar.poll_scan(scan)?,
-            Self::Rotary(lidar) => lidar.poll_scan(scan)?,
-        })
+        let is_new = match &mut self.scanner {
+            Scanner::Hokuyo(lidar) => lidar.poll_scan(scan)?,
+            Scanner::Rotary(lidar) => lidar.poll_scan(scan)?,
+        };
+        if is_new {
+            scan.time_ns = scan.time_ns.saturating_add_signed(-self.latency_ns);
+        }
+        Ok(is_new)
     }
 }

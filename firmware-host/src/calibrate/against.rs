@@ -5,7 +5,7 @@ use crate::config::Config;
 use super::finding::{Finding, Parameter};
 
 /// A finding against the configuration `config`, for a drive that was recorded with `recorded`. The scales of the radii and the
-/// latency of the camera were found in addition to what was configured then.
+/// latencies were found in addition to what was configured then.
 pub(super) fn against(
     finding: &Finding,
     recorded: &Config,
@@ -22,10 +22,14 @@ pub(super) fn against(
         Parameter::RightRadius => {
             return scaled(finding, radius * then.right_radius_scale, now.right_radius_scale);
         }
-        // The simulated camera of `explore` does not use this setting.
+        // The simulated devices of `explore` do not use these settings.
         Parameter::CameraLatency if !is_simulated => {
-            let new = finding.new + recorded.devices.camera.latency_ms;
-            return Finding { old: config.devices.camera.latency_ms, new, ..*finding };
+            let [then, now] = [recorded, config].map(|config| config.devices.camera.latency_ms);
+            return Finding { old: now, new: then + finding.new, ..*finding };
+        }
+        Parameter::LidarLatency if !is_simulated => {
+            let [then, now] = [recorded, config].map(|config| config.devices.lidar.latency_ms);
+            return Finding { old: now, new: then + finding.new, ..*finding };
         }
         Parameter::Track => now.track_m,
         Parameter::LidarForward => config.lidar.forward_m,
@@ -66,13 +70,15 @@ mod tests {
     }
 
     #[test]
-    fn the_latency_of_a_real_camera_is_found_in_addition_to_the_configured_one() {
+    fn the_latency_of_a_real_device_is_found_in_addition_to_the_configured_one() {
         let mut recorded = Config::default();
         recorded.devices.camera.latency_ms = 30.0;
-        let parameter = Parameter::CameraLatency;
-        let finding = Finding { parameter, old: 0.0, new: 12.0, sigma: 1.0 };
-        let real = against(&finding, &recorded, &recorded, false);
-        assert_eq!((real.old, real.new), (30.0, 42.0));
-        assert_eq!(against(&finding, &recorded, &recorded, true), finding);
+        recorded.devices.lidar.latency_ms = 30.0;
+        for parameter in [Parameter::CameraLatency, Parameter::LidarLatency] {
+            let finding = Finding { parameter, old: 0.0, new: 12.0, sigma: 1.0 };
+            let real = against(&finding, &recorded, &recorded, false);
+            assert_eq!((real.old, real.new), (30.0, 42.0));
+            assert_eq!(against(&finding, &recorded, &recorded, true), finding);
+        }
     }
 }

@@ -76,7 +76,7 @@ impl Parameter {
                 ..degrees("LiDAR's yaw", "lidar.yaw_deg")
             },
             Self::LidarLatency => Nature {
-                key: None,
+                key: Some("devices.lidar.latency_ms"),
                 effect: "where scans are put into the map while it rotates",
                 ..milliseconds("LiDAR's latency")
             },

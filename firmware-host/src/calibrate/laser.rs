@@ -13,7 +13,8 @@ use super::drive::Drive;
 use super::laser_parameters::LaserParameters;
 use super::least_squares::{Block, Estimate, Model, Prior, fit, robust_sigma};
 use super::scan_path::{ScanPose, laser_motion, match_scans};
-use super::wheels::{WheelMotion, WheelPath};
+use super::span_noise::{Extent, SpanNoise};
+use super::wheels::WheelPath;
 
 /// Number of parameters, in this order: radius left and right (share of the configured), track (m), the scanner's x, y (m) and
 /// yaw (rad), its latency (s).
@@ -52,33 +53,7 @@ struct Span {
     moved: Pose2,
     /// Yaw of the motion, not wrapped.
     yaw_rad: f64,
-    kind: Kind,
-}
-
-/// What the robot did during a span. The wheels' noise differs: a robot that rotates on the spot drives no distance that could be
-/// wrong.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Drives,
-    Rotates,
-    Both,
-}
-
-impl Kind {
-    const ALL: [Self; 3] = [Self::Drives, Self::Rotates, Self::Both];
-    /// A span with less of the other motion than this share, radians against metres, is of one kind.
-    const OTHER: f64 = 0.01;
-
-    fn of(motion: &WheelMotion) -> Self {
-        let share = motion.rotation_rad / (motion.rotation_rad + motion.distance_m);
-        if share < Self::OTHER {
-            Self::Drives
-        } else if share > 1.0 - Self::OTHER {
-            Self::Rotates
-        } else {
-            Self::Both
-        }
-    }
+    extent: Extent,
 }
 
 /// What is compared over a span. Along the robot's heading the wheels' noise counts, across it only that of the scans.
@@ -182,13 +157,11 @@ struct Spans<'a> {
 impl<'a> Spans<'a> {
     /// `parameters` only say where spans end and how the yaw is unwrapped.
     fn new(wheels: &'a WheelPath, path: &[ScanPose], parameters: &LaserParameters) -> Self {
-        Self {
-            wheels,
-            quiet: quiet(path, parameters),
-            yaw: cut(wheels, path, parameters, YAW_SPAN),
-            translation: cut(wheels, path, parameters, TRANSLATION_SPAN),
-            widened: 1.0,
-        }
+        let quiet = quiet(path, parameters);
+        let cut = |length| cut([wheels, &quiet], path, parameters, length);
+        let yaw = cut(YAW_SPAN);
+        let translation = cut(TRANSLATION_SPAN);
+        Self { wheels, quiet, yaw, translation, widened: 1.0 }
     }
 
     fn spans(&self, compared: Compared) -> &[Span] {
@@ -202,20 +175,23 @@ impl<'a> Spans<'a> {
     fn residual(&self, compared: Compared, span: &Span, parameters: &LaserParameters) -> f64 {
         residual(self.wheels, compared, span, parameters)
     }
-    /// The residuals of one kind of span.
-    fn all(&self, compared: Compared, kind: Kind, parameters: &LaserParameters) -> Vec<f64> {
-        let spans = self.spans(compared).iter().filter(|span| span.kind == kind);
+
+    /// All residuals.
+    fn all(&self, compared: Compared, parameters: &LaserParameters) -> Vec<f64> {
+        let spans = self.spans(compared).iter();
         spans.map(|span| self.residual(compared, span, parameters)).collect()
     }
 
-    /// Adds all residuals of one kind of span.
-    fn add(&self, compared: Compared, kind: Kind, parameters: &DVector<f64>, blocks: &mut [Block]) {
-        let at = LaserParameters::from_vector(parameters);
-        let Some(sigma) = robust_sigma(&mut self.all(compared, kind, &at)) else { return };
-        let sigma = self.widened * sigma.max(LEAST_SIGMA);
-        for span in self.spans(compared).iter().filter(|span| span.kind == kind) {
+    /// Adds all residuals.
+    fn add(&self, compared: Compared, parameters: &DVector<f64>, blocks: &mut [Block]) {
+        let residuals = self.all(compared, &LaserParameters::from_vector(parameters));
+        let spans = self.spans(compared);
+        let extents: Vec<Extent> = spans.iter().map(|span| span.extent).collect();
+        let noise = SpanNoise::estimate(&residuals, &extents);
+        for (span, residual) in spans.iter().zip(residuals) {
+            let sigma = noise.map_or(0.0, |noise| noise.sigma(&span.extent));
+            let sigma = self.widened * sigma.max(LEAST_SIGMA);
             let jacobian = self.derivative(compared, span, parameters);
-            let residual = self.residual(compared, span, &at);
             blocks[span.block()].add(&jacobian, residual, sigma);
         }
     }
@@ -245,9 +221,7 @@ impl<'a> Spans<'a> {
     fn deviation(&self, compared: &[Compared], parameters: &LaserParameters) -> f64 {
         let mut all = Vec::new();
         for compared in compared {
-            for kind in Kind::ALL {
-                all.extend(self.all(*compared, kind, parameters));
-            }
+            all.extend(self.all(*compared, parameters));
         }
         robust_sigma(&mut all).unwrap_or(0.0)
     }
@@ -298,7 +272,7 @@ pub(super) fn quiet(path: &[ScanPose], parameters: &LaserParameters) -> WheelPat
 
 /// Cuts the path into spans of at least this length, metres or radians.
 fn cut(
-    wheels: &WheelPath,
+    [wheels, quiet]: [&WheelPath; 2],
     path: &[ScanPose],
     parameters: &LaserParameters,
     length: f64,
@@ -322,12 +296,13 @@ fn cut(
         if motion.distance_m + motion.rotation_rad < length {
             continue;
         }
+        let motion = quiet.motion(&parameters.wheels, times_s[0], times_s[1]);
         spans.push(Span {
             from_s: from.time_s,
             to_s: scan.time_s,
             moved: from.pose.inverse().compose(&scan.pose),
             yaw_rad,
-            kind: Kind::of(&motion),
+            extent: [1.0, motion.distance_m, motion.rotation_rad],
         });
         from = scan;
         yaw_rad = 0.0;
@@ -340,10 +315,8 @@ impl Model for Spans<'_> {
         let last_s = self.yaw.iter().chain(&self.translation).map(|span| span.to_s);
         let blocks = (last_s.fold(0.0, f64::max) / BLOCK_S) as usize + 1;
         let mut blocks = vec![Block::empty(PARAMETERS); blocks];
-        for kind in Kind::ALL {
-            for compared in [Compared::Yaw, Compared::Along, Compared::Across] {
-                self.add(compared, kind, parameters, &mut blocks);
-            }
+        for compared in [Compared::Yaw, Compared::Along, Compared::Across] {
+            self.add(compared, parameters, &mut blocks);
         }
         blocks
     }

@@ -28,6 +28,7 @@ mod least_squares;
 mod measure;
 mod regular_times;
 mod scan_path;
+mod span_noise;
 mod wheels;
 
 use std::path::Path;

@@ -58,7 +58,7 @@ fn reaction(config: &Config) -> String {
     if configured_s < reaction_s {
         let cable_ms = 1e3 * lidar.cable_s();
         text += &if cable_ms > 0.0 {
-            format!(", and {cable_ms:.0} ms on its cable)")
+            format!(", and {cable_ms:.0} ms until they arrive)")
         } else {
             ")".to_owned()
         };
@@ -80,7 +80,9 @@ mod tests {
         config.devices.lidar.kind = LidarKind::Rplidar;
         let text = Speed::new(&config).sentence();
         assert!(
-            text.contains("3 scans of the RPLIDAR A1, 209 ms each at most, and 30 ms on its cable"),
+            text.contains(
+                "3 scans of the RPLIDAR A1, 209 ms each at most, and 30 ms until they arrive"
+            ),
             "{text}"
         );
     }

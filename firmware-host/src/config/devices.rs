@@ -135,7 +135,7 @@ impl Config {
         let run = &self.run;
         let lidar = &self.devices.lidar;
         // A silent scanner is detected within two of its periods, even if `scan_timeout_s` is longer.
-        let two_scans_s = 2.0 * lidar.longest_period_s();
+        let two_scans_s = 2.0 * lidar.longest_period_s() + lidar.late_s();
         SafetyConfig {
             lateral_margin_m: lidar.accuracy_m(),
             reaction_s: run.reaction_s.max(self.sight_s()),
@@ -211,5 +211,19 @@ mod tests {
         config.devices.lidar.rplidar.model = drivers::rplidar::Model::S2;
         let s2 = config.live_safety_config();
         assert!((s2.reaction_s - 0.26).abs() < 1e-9, "two scans are enough with 1440 beams");
+    }
+
+    #[test]
+    fn a_late_scanner_means_a_longer_reaction_and_no_silence() {
+        let mut config = Config::default();
+        config.run.reaction_s = 0.0;
+        let exact = config.live_safety_config();
+        config.devices.lidar.latency_ms = 40.0;
+        let late = config.live_safety_config();
+        assert!((late.reaction_s - exact.reaction_s - 0.04).abs() < 1e-9);
+        assert!((late.scan_timeout_s - exact.scan_timeout_s - 0.04).abs() < 1e-9);
+        assert!(late.top_speed_mps() < exact.top_speed_mps());
+        config.devices.lidar.latency_ms = -40.0;
+        assert_eq!(config.live_safety_config(), exact, "early time stamps make it no faster");
     }
 }

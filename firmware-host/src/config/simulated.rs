@@ -41,10 +41,10 @@ hal::settings! {
         right_wheel_percent: f64 = 0.0, in -10.0..=10.0, unit "%";
         /// How much farther apart the wheels are than configured.
         track_percent: f64 = 0.0, in -10.0..=10.0, unit "%";
-        /// Time by which frames are stamped late, in addition to `camera_latency_s`.
-        camera_late_s: f64 = 0.0, in 0.0..=0.2, unit "s";
-        /// Time by which scans are stamped late.
-        lidar_late_s: f64 = 0.0, in 0.0..=0.2, unit "s";
+        /// Time by which frames are stamped late, in addition to `camera_latency_s`; negative if early.
+        camera_late_s: f64 = 0.0, in -0.1..=0.2, unit "s";
+        /// Time by which scans are stamped late; negative if early.
+        lidar_late_s: f64 = 0.0, in -0.1..=0.2, unit "s";
     }
 }
 

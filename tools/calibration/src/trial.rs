@@ -78,6 +78,9 @@ pub fn drive(
             input.scan = Some(scan.clone());
         }
         if now_ns as f64 * 1e-9 < length.frames_s && devices.camera.poll_frame(&mut frame)? {
+            // A tick is at the time of its frame.
+            input.wheel.odom = odom_at(&history, frame.time_ns);
+            input.wheel.time_ns = frame.time_ns;
             let rgb = frame.data.clone();
             input.frame = Some(RgbImage { width: frame.width, height: frame.height, rgb });
         }

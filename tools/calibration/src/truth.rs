@@ -11,8 +11,8 @@ const LIDAR_DEG: f64 = 5.0;
 const CAMERA_DEG: f64 = 3.0;
 const PLACE_M: f64 = 0.03;
 const FOCAL_PERCENT: f64 = 2.0;
-/// Time stamps are never early: the simulated devices do not know the future.
-const LATE_S: f64 = 0.12;
+/// Time stamps are late, or early where too large a latency was subtracted.
+const LATE_S: [f64; 2] = [-0.02, 0.12];
 
 /// The configuration of robot number `seed`: the default, and in `[simulator.truth]` how the robot really is. Noise is that of the
 /// default; systematic errors of the wheels are the known ones only.
@@ -40,8 +40,8 @@ pub fn robot(seed: u64) -> Config {
     truth.camera_left_m = within(PLACE_M, &mut rng);
     truth.camera_height_m = within(PLACE_M, &mut rng);
     truth.focal_percent = within(FOCAL_PERCENT, &mut rng);
-    truth.lidar_late_s = within(0.5 * LATE_S, &mut rng) + 0.5 * LATE_S;
-    truth.camera_late_s = within(0.5 * LATE_S, &mut rng) + 0.5 * LATE_S;
+    truth.lidar_late_s = rng.random_range(LATE_S[0]..LATE_S[1]);
+    truth.camera_late_s = rng.random_range(LATE_S[0]..LATE_S[1]);
     config
 }
 

@@ -53,6 +53,7 @@ pub const CAMERA_LATENCY_S: f64 = 0.02;
 pub const FLOOR_TILT_DEG: f64 = 0.2;
 /// Largest latency and readout of a camera, seconds.
 const SLOWEST_CAMERA_S: f64 = 0.3;
+const LATE_ALLOWED: &str = "from -0.3 to 0.3 s";
 /// Largest slope of a floor, radians.
 const STEEPEST_FLOOR_RAD: f64 = 0.1;
 /// Directions of the cliff sensors from the centre of the base, at the edge of its footprint, radians.
@@ -79,9 +80,9 @@ pub struct RobotOptions {
     /// Mean time from the exposure of a frame to its time stamp, seconds. The latency of one robot is
     /// drawn by the seed, from half of this to one and a half times this, and stays so.
     pub camera_latency_s: f64,
-    /// What the camera's latency is more than the drawn one, seconds.
+    /// What the camera's latency is more than the drawn one, seconds. With a negative sum, time stamps are early.
     pub camera_late_s: f64,
-    /// Time by which the time stamps of scans are late, seconds.
+    /// Time by which the time stamps of scans are late, seconds; a negative one if they are early.
     pub lidar_late_s: f64,
     /// A change of the robot during the run, if there is one.
     pub change: Option<Change>,
@@ -150,8 +151,8 @@ impl RobotOptions {
         }
         let limits = [
             ("camera latency", self.camera_latency_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
-            ("lateness of the camera", self.camera_late_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
-            ("lateness of the scanner", self.lidar_late_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
+            ("lateness of the camera", self.camera_late_s.abs(), SLOWEST_CAMERA_S, LATE_ALLOWED),
+            ("lateness of the scanner", self.lidar_late_s.abs(), SLOWEST_CAMERA_S, LATE_ALLOWED),
             ("focal length", (self.focal_scale - 1.0).abs(), 0.5, "from 0.5 to 1.5 of the model's"),
             ("rolling shutter", self.rolling_shutter_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
             ("floor tilt", self.floor_tilt_rad, STEEPEST_FLOOR_RAD, "from 0 to 0.1 rad"),
@@ -320,7 +321,7 @@ pub(crate) fn lock(shared: &Mutex<State>) -> MutexGuard<'_, State> {
 
 impl State {
     fn take_frame(&mut self, frame: &mut Frame) {
-        let exposed_s = self.now_ns as f64 * 1e-9 - self.latency_s;
+        let exposed_s = self.now_ns as f64 * 1e-9 - self.latency_s.max(0.0);
         let exposed_ns = (exposed_s.max(0.0) * 1e9) as u64;
         let bodies = self.inhabitants.bodies(exposed_ns);
         let nuisances = &self.options.nuisances;
@@ -347,7 +348,7 @@ impl State {
             );
         }
         nuisances.add_sensor_noise(&mut self.camera_rng, rgb);
-        frame.time_ns = self.now_ns;
+        frame.time_ns = self.now_ns.saturating_sub(early_ns(self.latency_s));
         frame.sequence = self.sequence;
         frame.width = camera.width;
         frame.height = camera.height;
@@ -362,17 +363,18 @@ impl State {
         CameraModel { fx: camera.fx * scale, fy: camera.fy * scale, ..camera }
     }
 
-    /// What moved during the scan that, by its time stamp, ended at `end_ns`.
+    /// What moved during the scan that ended at `end_ns` by its time stamp, or, if time stamps are early, in truth.
     fn motion_of_scan(&self, end_ns: u64, period_ns: u64) -> ScanMotion {
-        let late_ns = (self.options.lidar_late_s * 1e9) as u64;
+        let late_s = self.options.lidar_late_s;
+        let late_ns = (late_s.max(0.0) * 1e9) as u64;
         ScanMotion {
-            late_ns,
+            late_ns: (late_s * 1e9) as i64,
             world: Arc::clone(&self.world),
             bodies: self.inhabitants.bodies(end_ns.saturating_sub(period_ns / 2 + late_ns)),
             trail: self.trail.clone(),
             floor: self.floor,
             t_base_laser: self.options.t_base_laser,
-            start_ns: end_ns as i64 - period_ns as i64,
+            start_ns: end_ns as i64 - period_ns as i64 - early_ns(late_s) as i64,
         }
     }
 
@@ -398,6 +400,11 @@ impl State {
     }
 }
 
+/// The time by which a time stamp is before what it belongs to.
+fn early_ns(late_s: f64) -> u64 {
+    ((-late_s).max(0.0) * 1e9) as u64
+}
+
 /// The world around the scanner during one scan.
 struct ScanMotion {
     world: Arc<World>,
@@ -407,8 +414,8 @@ struct ScanMotion {
     t_base_laser: Pose3,
     /// Start of the scan by its time stamp. The first one may have begun before time 0.
     start_ns: i64,
-    /// Time by which the time stamp is late.
-    late_ns: u64,
+    /// Time by which the time stamp is late; negative if it is early.
+    late_ns: i64,
 }
 
 impl ScanMotion {
@@ -427,7 +434,7 @@ impl ScanMotion {
 
     fn t_world_laser(&self, beam: usize, geometry: &ScanGeometry) -> Pose3 {
         let after_ns = laser::beam_after_ns(geometry, beam) as i64;
-        let time_ns = self.start_ns + after_ns - self.late_ns as i64;
+        let time_ns = self.start_ns + after_ns - self.late_ns;
         self.floor.raise(&self.trail.at(time_ns)) * self.t_base_laser
     }
 }

@@ -247,6 +247,35 @@ fn a_frame_shows_the_view_of_its_exposure_and_is_stamped_later() {
 }
 
 #[test]
+fn an_early_time_stamp_is_before_what_the_frame_and_the_scan_show() {
+    let options = RobotOptions {
+        camera_late_s: -0.02,
+        lidar_late_s: -0.02,
+        laser: LaserModel::IDEAL,
+        ..exact(Pose2::new(2.0, 2.0, 0.0))
+    };
+    let mut early = robot(options.clone());
+    let mut exact = robot(RobotOptions { camera_late_s: 0.0, lidar_late_s: 0.0, ..options });
+    let [mut depth, mut exact_depth] = [DepthMap::none(0, 0), DepthMap::none(0, 0)];
+    let [mut frame, mut exact_frame] = [Frame::empty(), Frame::empty()];
+    let mut scan = LaserScan::empty(early.lidar.geometry());
+    let mut exact_scan = scan.clone();
+    for devices in [&mut early, &mut exact] {
+        tick(devices, 0.5, 0.0);
+    }
+    early.camera.poll_frame(&mut frame).unwrap();
+    exact.camera.poll_frame(&mut exact_frame).unwrap();
+    early.truth.depth(&mut depth);
+    exact.truth.depth(&mut exact_depth);
+    assert_eq!((frame.time_ns, exact_frame.time_ns), (TICK_NS - 20_000_000, TICK_NS));
+    assert_eq!(depth.get(40, 11), exact_depth.get(40, 11));
+    early.lidar.poll_scan(&mut scan).unwrap();
+    exact.lidar.poll_scan(&mut exact_scan).unwrap();
+    assert_eq!(scan.time_ns + 20_000_000, exact_scan.time_ns);
+    assert_eq!(scan.ranges, exact_scan.ranges);
+}
+
+#[test]
 fn the_latency_of_a_camera_is_drawn_by_the_seed() {
     let moved: Vec<f32> = [1, 1, 2].into_iter().map(moved_m).collect();
     assert!(moved[0] == moved[1] && moved[0] != moved[2], "{moved:?}");
