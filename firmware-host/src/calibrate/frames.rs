@@ -9,7 +9,11 @@ use super::klt::{Gray, corners, follow};
 
 /// A pair ends when the robot has driven or rotated this far: far enough for parallax, near enough to find every point again.
 const DISTANCE_M: f64 = 0.3;
-const ROTATION_RAD: f64 = 0.06;
+pub(super) const ROTATION_RAD: f64 = 0.06;
+/// An arc needs a longer rotation to show parallax.
+pub(super) const ARC_RAD: f64 = 0.12;
+/// A robot that drove less than this rotated on the spot, metres.
+pub(super) const ON_THE_SPOT_M: f64 = 0.005;
 /// A pair that lasts longer includes a stop, and begins anew, seconds.
 const LONGEST_S: f64 = 2.0;
 /// One point is followed in each square of this side, pixels.
@@ -100,8 +104,11 @@ impl FrameMatcher {
             self.kept = Some(Kept { time_s, odom: *odom, image: frame.clone() });
             return Ok(());
         };
-        let is_far = kept.odom.distance_m(odom) >= DISTANCE_M
-            || wrap_angle(odom.yaw_rad - kept.odom.yaw_rad).abs() >= ROTATION_RAD;
+        let distance_m = kept.odom.distance_m(odom);
+        let rotation_rad = wrap_angle(odom.yaw_rad - kept.odom.yaw_rad).abs();
+        let is_arc = distance_m >= ON_THE_SPOT_M;
+        let is_far =
+            distance_m >= DISTANCE_M || rotation_rad >= if is_arc { ARC_RAD } else { ROTATION_RAD };
         if is_far && time_s - kept.time_s <= LONGEST_S {
             self.compare(&kept, time_s, frame)?;
         }

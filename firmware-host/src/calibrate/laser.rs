@@ -19,6 +19,8 @@ use super::wheels::WheelPath;
 /// Number of parameters, in this order: radius left and right (share of the configured), track (m), the scanner's x, y (m) and
 /// yaw (rad), its latency (s).
 pub(super) const PARAMETERS: usize = 7;
+/// Index of the latency.
+pub(super) const LATENCY: usize = 6;
 /// Step of the numerical derivatives: shares, metres, radians and seconds alike.
 const STEP: f64 = 1e-4;
 /// No scanner matches better than this: a tenth of a millimetre and of a milliradian. It keeps weights finite.

@@ -44,15 +44,18 @@ pub fn measure(drive: &Drive, camera: Option<&CameraDrive>) -> Result<Measured> 
     let base = BasePath::new(&drive.wheels, &result.path, &result.parameters);
     let quiet = laser::quiet(&result.path, &result.parameters);
     let quiet = BasePath::new(&quiet, &result.path, &result.parameters);
-    if let Err(error) = measure_camera(camera, [&base, &quiet], &mut measured) {
+    let late_s = result.estimate.sigma(laser::LATENCY);
+    if let Err(error) = measure_camera(camera, [&base, &quiet], late_s, &mut measured) {
         measured.no_camera = Some(error.to_string());
     }
     Ok(measured)
 }
 
+/// `late_s` is the standard deviation of the scanner's latency, by which the whole path may be late.
 fn measure_camera(
     camera: &CameraDrive,
     base: [&BasePath<'_>; 2],
+    late_s: f64,
     measured: &mut Measured,
 ) -> Result<(), CameraError> {
     let configured = CameraParameters::configured(&camera.t_base_camera);
@@ -64,11 +67,15 @@ fn measure_camera(
     measured.points_px = Some([before_px, fit.spread_px(&at)]);
     let old = configured.to_vector();
     for (index, (parameter, unit)) in CAMERA.into_iter().enumerate() {
+        let sigma = match parameter {
+            Parameter::CameraLatency => estimate.sigma(index).hypot(late_s),
+            _ => estimate.sigma(index),
+        };
         measured.findings.push(Finding {
             parameter,
             old: unit * old[index],
             new: unit * estimate.parameters[index],
-            sigma: unit * estimate.sigma(index),
+            sigma: unit * sigma,
         });
     }
     // A drive that shows no floor leaves the height as it is.
