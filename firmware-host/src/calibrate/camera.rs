@@ -5,25 +5,19 @@
 //! inverse distance `rho` is unknown and is eliminated, as are small errors of the motion: the floor tilts the robot, and poses are
 //! not exact. The camera's height moves nothing in planar motion; `floor` finds it.
 
-use hal::{CameraModel, CameraMount, Pose2, Pose3};
+use hal::{CameraModel, Pose2, Pose3};
 use nalgebra::{
     DMatrix, DVector, Matrix5, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3, Vector5,
 };
 
 use super::base_path::BasePath;
+use super::camera_parameters::{
+    CameraParameters, FOCAL, FORWARD, LATENCY, LEFT, PARAMETERS, PITCH, ROLL,
+};
 use super::floor::{LEAST_DOWN, LowPoint};
 use super::frames::{ARC_RAD, FramePair, Match, ON_THE_SPOT_M, ROTATION_RAD};
 use super::least_squares::{Block, Estimate, Model, Prior, Weight, fit, robust_sigma, tukey};
 
-/// Number of parameters, in this order: roll, pitch down, yaw (rad), x, y (m), scale of the focal length, latency (s).
-pub(super) const PARAMETERS: usize = 7;
-/// Indices of some of them.
-const ROLL: usize = 0;
-const PITCH: usize = 1;
-const FORWARD: usize = 3;
-const LEFT: usize = 4;
-const FOCAL: usize = 5;
-const LATENCY: usize = 6;
 const NUISANCES: usize = 5;
 /// Steps of the numerical derivatives: small against the parameters' effects, large against rounding.
 const STEPS: [f64; PARAMETERS] = [1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 5e-3];
@@ -57,66 +51,6 @@ const DIFFERENT: f64 = 0.1;
 const BLOCK_S: f64 = 4.0;
 /// Fewer pairs are no drive.
 const LEAST_PAIRS: usize = 30;
-
-/// The camera's parameters.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct CameraParameters {
-    pub roll_rad: f64,
-    pub pitch_down_rad: f64,
-    pub yaw_rad: f64,
-    pub x_m: f64,
-    pub y_m: f64,
-    /// True focal length by the configured one.
-    pub focal: f64,
-    /// Time from the exposure of a frame to its stamp, on the wheels' clock, seconds.
-    pub latency_s: f64,
-}
-
-impl CameraParameters {
-    /// The configured mount; latency and focal length as stamped and configured.
-    pub fn configured(t_base_camera: &Pose3) -> Self {
-        let mount = CameraMount::of(t_base_camera);
-        Self {
-            roll_rad: mount.roll_deg.to_radians(),
-            pitch_down_rad: mount.pitch_down_deg.to_radians(),
-            yaw_rad: mount.yaw_deg.to_radians(),
-            x_m: mount.forward_m,
-            y_m: mount.left_m,
-            focal: 1.0,
-            latency_s: 0.0,
-        }
-    }
-
-    pub fn to_vector(self) -> DVector<f64> {
-        let Self { roll_rad, pitch_down_rad, yaw_rad, x_m, y_m, focal, latency_s } = self;
-        DVector::from_vec(vec![roll_rad, pitch_down_rad, yaw_rad, x_m, y_m, focal, latency_s])
-    }
-
-    pub fn from_vector(vector: &DVector<f64>) -> Self {
-        Self {
-            roll_rad: vector[0],
-            pitch_down_rad: vector[1],
-            yaw_rad: vector[2],
-            x_m: vector[3],
-            y_m: vector[4],
-            focal: vector[5],
-            latency_s: vector[6],
-        }
-    }
-
-    /// `t_base_camera` of a camera at this height.
-    pub fn mount(&self, height_m: f64) -> Pose3 {
-        let mount = CameraMount {
-            height_m,
-            forward_m: self.x_m,
-            left_m: self.y_m,
-            pitch_down_deg: self.pitch_down_rad.to_degrees(),
-            roll_deg: self.roll_rad.to_degrees(),
-            yaw_deg: self.yaw_rad.to_degrees(),
-        };
-        mount.t_base_camera()
-    }
-}
 
 /// Why the camera was not measured.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -623,12 +557,5 @@ mod tests {
         for (index, largest) in largest.into_iter().enumerate() {
             assert!(error[index].abs() < largest, "{index}: {error}");
         }
-    }
-
-    #[test]
-    fn a_mount_comes_back_from_its_pose() {
-        let back = CameraParameters::configured(&truth().mount(HEIGHT_M));
-        let expected = CameraParameters { focal: 1.0, latency_s: 0.0, ..truth() };
-        assert!((back.to_vector() - expected.to_vector()).amax() < 1e-12);
     }
 }

@@ -3,7 +3,8 @@
 use anyhow::Result;
 
 use super::base_path::BasePath;
-use super::camera::{self, CameraError, CameraFit, CameraParameters};
+use super::camera::{CameraError, CameraFit};
+use super::camera_parameters::{self, CameraParameters};
 use super::drive::{CameraDrive, Drive};
 use super::finding::{Finding, Parameter};
 use super::floor;
@@ -103,7 +104,7 @@ const LASER: [(Parameter, f64); laser::PARAMETERS] = [
     (Parameter::LidarYaw, DEGREES),
     (Parameter::LidarLatency, MILLISECONDS),
 ];
-const CAMERA: [(Parameter, f64); camera::PARAMETERS] = [
+const CAMERA: [(Parameter, f64); camera_parameters::PARAMETERS] = [
     (Parameter::CameraRoll, DEGREES),
     (Parameter::CameraPitch, DEGREES),
     (Parameter::CameraYaw, DEGREES),

@@ -15,6 +15,7 @@
 mod against;
 mod base_path;
 mod camera;
+mod camera_parameters;
 mod course;
 mod drive;
 mod file;
