@@ -5,6 +5,7 @@
 mod accuracy;
 mod arrows;
 mod bench;
+mod calibrated_depth;
 mod calibration;
 mod command;
 mod contributing;
@@ -100,6 +101,9 @@ enum Chore {
     },
     /// Drive simulated robots whose configuration is wrong, calibrate them, and print the errors. Takes 40 minutes on two cores.
     Calibration {
+        /// Instead: compare depth and map of the robots before and after their calibration.
+        #[arg(long)]
+        depth: bool,
         /// Number of robots.
         #[arg(long, default_value_t = 30)]
         robots: u64,
@@ -219,7 +223,10 @@ fn run(chore: &Chore) -> anyhow::Result<()> {
         Chore::Bench { json, update, filter } => bench::run(*json, *update, filter.as_deref()),
         Chore::Accuracy { arguments } => accuracy::run(arguments),
         Chore::Localization { drives, update } => localization::run(*drives, *update),
-        Chore::Calibration { robots, update } => calibration::run(*robots, *update),
+        Chore::Calibration { depth: true, robots, update } => {
+            calibrated_depth::run(*robots, *update)
+        }
+        Chore::Calibration { depth: false, robots, update } => calibration::run(*robots, *update),
         Chore::Policies { frames, seeds, update } => policies::run(*frames, *seeds, *update),
         Chore::Stairs { frames, update } => stairs::run(*frames, *update),
         Chore::Odometry { frames, seeds, scene, update } => {

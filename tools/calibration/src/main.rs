@@ -3,6 +3,7 @@
 //! Nothing but the drive goes into the measurement; the truth only judges it.
 #![forbid(unsafe_code)]
 
+mod corrected;
 mod pattern;
 mod table;
 mod trial;
@@ -40,6 +41,9 @@ struct Arguments {
     /// With --watch: only this change; `none` drives undisturbed robots for --seconds.
     #[arg(long, value_name = "NAME", requires = "watch")]
     only: Option<String>,
+    /// Folder for configurations of each robot before and after its calibration.
+    #[arg(long, value_name = "DIR")]
+    configurations: Option<PathBuf>,
     /// File for every error and standard deviation, as JSON.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -62,7 +66,12 @@ fn main() -> Result<()> {
         let world = Arc::new(World::open(&scene, &OpenOptions::default())?);
         let config = truth::robot(seed);
         match trial::run(&world, &config, seed, length) {
-            Ok(findings) => trials.add(seed, &config, &findings),
+            Ok(findings) => {
+                trials.add(seed, &config, &findings);
+                if let Some(dir) = &arguments.configurations {
+                    corrected::write(dir, seed, &config, &findings)?;
+                }
+            }
             Err(error) => eprintln!("robot {seed} in {scene}: {error:#}"),
         }
         eprintln!("robot {seed} of {}", arguments.first + arguments.robots - 1);
