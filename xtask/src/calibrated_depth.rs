@@ -14,7 +14,7 @@ const HOMES: [&str; 3] = ["apartment", "house", "office"];
 const FRAMES: &str = "600";
 /// Each robot's configurations, with the names of their files.
 const ROWS: [(&str, &str); 3] =
-    [("wrong", "before"), ("calibrated", "after"), ("everything known", "known")];
+    [("wrong", "before"), ("calibrated", "after"), ("nominal robot", "nominal")];
 const COLUMNS: [&str; 9] = [
     "robot",
     "configuration",
@@ -30,7 +30,9 @@ const COLUMNS: [&str; 9] = [
 /// Calibrates robots, explores with their configurations before and after, and writes the table to the documents if `update`.
 pub fn run(robots: u64, update: bool) -> Result<()> {
     let dir = paths::target().join("calibration");
-    std::fs::create_dir_all(&dir).with_context(|| dir.display().to_string())?;
+    if dir.exists() {
+        std::fs::remove_dir_all(&dir).with_context(|| dir.display().to_string())?;
+    }
     let mut calibration = command::cargo();
     calibration
         .args(["run", "--release", "--quiet", "--locked", "--package", "calibration", "--"])
@@ -67,7 +69,8 @@ pub fn run(robots: u64, update: bool) -> Result<()> {
 fn exploration(dir: &Path, robot: u64, file: &str) -> Exploration {
     let home = HOMES[robot as usize % HOMES.len()];
     let config = dir.join(format!("{robot}-{file}.toml")).display().to_string();
-    let [scene, seed] = [format!("builtin:{home}?seed={robot}"), robot.to_string()];
+    let scene = format!("builtin:{home}?seed={robot}");
+    let seed = robot.to_string();
     let arguments = ["--scene", &scene, "--config", &config, "--frames", FRAMES, "--seed", &seed];
     Exploration {
         arguments: arguments.map(String::from).to_vec(),
@@ -103,11 +106,21 @@ mod tests {
 
     #[test]
     fn a_row_has_means_and_the_sum_of_collisions() {
-        let summaries = [0.4, 0.6].map(|right| {
-            json!({ "accuracy": { "dense": { "all": { "right": right } } }, "collisions": 1 })
+        let summaries = [0.4, 0.6].map(|share| {
+            let depth = json!({
+                "all": { "right": share, "delta1_unscaled": share },
+                "confident": { "delta1_unscaled": share },
+            });
+            json!({
+                "accuracy": { "coarse": depth, "dense": depth, "constant": depth },
+                "coverage_true": share,
+                "map_off10": share,
+                "collisions": 1,
+            })
         });
         let row = cells("mean", "wrong", &summaries.iter().collect::<Vec<_>>());
+        let half = ["0.500 / 0.500", "0.500", "0.500", "0.500", "50.0 %", "50.0 %", "2"];
+        assert_eq!(row, [["mean", "wrong"].as_slice(), &half].concat());
         assert_eq!(row.len(), COLUMNS.len());
-        assert_eq!((row[3].as_str(), row[8].as_str()), ("0.500", "2"));
     }
 }

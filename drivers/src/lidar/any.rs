@@ -13,7 +13,7 @@ use crate::{DeviceStatus, ld06, rplidar};
 pub struct AnyLidar {
     scanner: Scanner,
     /// Subtracted from every time stamp.
-    latency_ns: i64,
+    latency_ns: u64,
 }
 
 #[derive(Debug)]
@@ -43,7 +43,7 @@ impl AnyLidar {
             LidarKind::Rplidar => Scanner::Rotary(rplidar::open(config.place(), &config.rplidar)?),
             LidarKind::Ld06 => Scanner::Rotary(ld06::open(config.place(), &config.ld06)?),
         };
-        Ok(Self { scanner, latency_ns: (config.latency_ms * 1e6) as i64 })
+        Ok(Self { scanner, latency_ns: (config.latency_ms * 1e6) as u64 })
     }
 
     /// The scanner's state and counts. Takes no lock.
@@ -92,7 +92,7 @@ impl Lidar for AnyLidar {
             Scanner::Rotary(lidar) => lidar.poll_scan(scan)?,
         };
         if is_new {
-            scan.time_ns = scan.time_ns.saturating_add_signed(-self.latency_ns);
+            scan.time_ns = scan.time_ns.saturating_sub(self.latency_ns);
         }
         Ok(is_new)
     }

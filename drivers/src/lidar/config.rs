@@ -44,9 +44,9 @@ hal::settings! {
         /// Direction in which the zero of an RPLIDAR, LD06 or LD19 points, counter-clockwise from forward as seen from above. The driver makes
         /// it the scanner's front, so that a revolution begins behind the robot; `lidar.yaw_deg` is what remains.
         zero_deg: f64 = 0.0, in -180.0..=180.0, unit "degrees";
-        /// Time from a scan to its timestamp: what the scanner and the cable add. It is subtracted from every timestamp, and the
-        /// safety plane reacts so much later. `firmware-host calibrate` measures it.
-        latency_ms: f64 = 0.0, in -100.0..=200.0, unit "ms";
+        /// Time from a scan to its timestamp: what the scanner and the cable add. It is subtracted from every timestamp. The
+        /// safety plane counts it into its reaction time, and adds it to `safety.scan_timeout_s`. `firmware-host calibrate` measures it.
+        latency_ms: f64 = 0.0, in 0.0..=250.0, unit "ms";
         /// Consecutive valid scans that are needed before the scanner counts as working, at the start and after each fault.
         good_scans: u32 = 3, in 1..=100, unit "scans";
         rplidar: RplidarConfig;
@@ -109,20 +109,20 @@ impl LidarConfig {
     }
 
     /// The time that the end of a scan takes to this program at most, seconds. A Hokuyo's scans have
-    /// the scanner's own time. A measured latency counts as well.
+    /// the scanner's own time. A measured latency includes the cable.
     #[must_use]
-    pub fn cable_s(&self) -> f64 {
+    pub fn arrival_s(&self) -> f64 {
         let cable_s = match self.kind {
             LidarKind::Hokuyo => 0.0,
             LidarKind::Rplidar | LidarKind::Ld06 => CABLE_S,
         };
-        cable_s + self.late_s()
+        self.late_s().max(cable_s)
     }
 
     /// The time by which scans are known later than their corrected time stamps say, seconds.
     #[must_use]
     pub fn late_s(&self) -> f64 {
-        1e-3 * self.latency_ms.max(0.0)
+        1e-3 * self.latency_ms
     }
 
     /// Largest error of a distance near the robot, metres, from the scanner's data sheet, and at least

@@ -74,11 +74,14 @@ mod tests {
         let mut recorded = Config::default();
         recorded.devices.camera.latency_ms = 30.0;
         recorded.devices.lidar.latency_ms = 30.0;
+        let mut now = recorded.clone();
+        now.devices.camera.latency_ms = 50.0;
+        now.devices.lidar.latency_ms = 50.0;
         for parameter in [Parameter::CameraLatency, Parameter::LidarLatency] {
             let finding = Finding { parameter, old: 0.0, new: 12.0, sigma: 1.0 };
-            let real = against(&finding, &recorded, &recorded, false);
-            assert_eq!((real.old, real.new), (30.0, 42.0));
-            assert_eq!(against(&finding, &recorded, &recorded, true), finding);
+            let real = against(&finding, &recorded, &now, false);
+            assert_eq!((real.old, real.new), (50.0, 42.0));
+            assert_eq!(against(&finding, &recorded, &now, true), finding);
         }
     }
 }

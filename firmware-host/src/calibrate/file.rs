@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::finding::{Finding, Nature, Verdict};
+use super::finding::{Finding, Nature, Parameter, Verdict};
 
 /// Where measured values come from.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,15 +52,17 @@ pub fn text(findings: &[Finding], provenance: &Provenance) -> String {
     text
 }
 
-/// Section and name of a finding's key, if it is to be written.
+/// Section and name of a finding's key, if it is to be written. Scans that are stamped early are not corrected, because a scan of the future
+/// would seem to be new for too long.
 fn place(finding: &Finding) -> Option<(&'static str, &'static str)> {
-    let is_measured = matches!(finding.verdict(), Verdict::AsConfigured | Verdict::Changed);
+    let is_early = finding.parameter == Parameter::LidarLatency && finding.new < 0.0;
+    let is_measured =
+        matches!(finding.verdict(), Verdict::AsConfigured | Verdict::Changed) && !is_early;
     finding.parameter.nature().key.filter(|_| is_measured)?.rsplit_once('.')
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::finding::Parameter;
     use super::*;
     use crate::config::Config;
     use std::path::Path;
@@ -97,6 +99,7 @@ mod tests {
         let text = written(&[
             finding(Parameter::LidarForward, 0.2, 1.0),
             finding(Parameter::FocalLength, 1.0, 0.001),
+            finding(Parameter::LidarLatency, -0.5, 1.0),
         ]);
         assert_eq!(toml::from_str::<toml::Table>(&text).unwrap(), toml::Table::new());
     }

@@ -77,7 +77,8 @@ impl Parameter {
             },
             Self::LidarLatency => Nature {
                 key: Some("devices.lidar.latency_ms"),
-                effect: "where scans are put into the map while it rotates",
+                largest_change: 200.0,
+                effect: "where scans are put into the map while it rotates, and how fast the robot may drive",
                 ..milliseconds("LiDAR's latency")
             },
             Self::CameraRoll => {

@@ -25,6 +25,8 @@ const NEAR: f64 = 0.3;
 const LARGEST_SIGMA: f64 = 0.1;
 /// Rays that go down less than this meet the floor too far away: an error of the pitch counts too much.
 pub(super) const LEAST_DOWN: f64 = 0.12;
+/// Share of the points that noise alone puts below the floor, at least: half of those of the floor, which are a third of all or more.
+const LEAST_BELOW: f64 = 0.15;
 const BLOCK_S: f64 = 4.0;
 /// With fewer points there is no floor to be seen.
 const LEAST_POINTS: usize = 100;
@@ -40,16 +42,21 @@ impl FloorPoints {
     }
 }
 
+impl FloorPoints {
+    /// How many times larger residuals are than their standard deviations. Nothing is below the floor, so that the points there
+    /// show the noise alone; while few are there, the height is not found yet.
+    fn scale(&self, inverse_height: f64) -> f64 {
+        let normalised = |point: &LowPoint| Self::residual(point, inverse_height) / point.sigma;
+        let mut all: Vec<f64> = self.points.iter().map(normalised).collect();
+        let mut below: Vec<f64> = all.iter().copied().filter(|residual| *residual > 0.0).collect();
+        let is_found = LEAST_BELOW * all.len() as f64 <= below.len() as f64;
+        robust_sigma(if is_found { &mut below } else { &mut all }).unwrap_or(1.0).max(1.0)
+    }
+}
+
 impl Model for FloorPoints {
     fn linearise(&mut self, parameters: &DVector<f64>) -> Vec<Block> {
-        // Nothing is below the floor, so that the points there show the noise alone.
-        let mut below: Vec<f64> = self
-            .points
-            .iter()
-            .map(|point| Self::residual(point, parameters[0]) / point.sigma)
-            .filter(|residual| *residual > 0.0)
-            .collect();
-        let scale = robust_sigma(&mut below).unwrap_or(1.0).max(1.0);
+        let scale = self.scale(parameters[0]);
         let last_s = self.points.iter().fold(0.0, |last: f64, point| last.max(point.time_s));
         let mut blocks = vec![Block::empty(1); (last_s / BLOCK_S) as usize + 1];
         for point in &self.points {
@@ -121,10 +128,12 @@ mod tests {
 
     #[test]
     fn the_height_is_that_above_the_floor_and_not_above_things_on_it() {
-        for things in [0, 150, 300] {
-            let [height_m, sigma_m] = height(&points(things), 0.8).unwrap();
-            assert!((height_m - 0.83).abs() < 0.005, "{height_m}");
-            assert!(sigma_m < 0.015, "{sigma_m}");
+        for configured_m in [0.75, 0.8, 0.86, 0.9] {
+            for things in [0, 150, 300] {
+                let [height_m, sigma_m] = height(&points(things), configured_m).unwrap();
+                assert!((height_m - 0.83).abs() < 0.005, "{height_m} from {configured_m}");
+                assert!(sigma_m < 0.015, "{sigma_m}");
+            }
         }
     }
 

@@ -14,7 +14,7 @@ pub(super) const ROTATION_RAD: f64 = 0.06;
 pub(super) const ARC_RAD: f64 = 0.12;
 /// A robot that drove less than this rotated on the spot, metres.
 pub(super) const ON_THE_SPOT_M: f64 = 0.005;
-/// A pair that lasts longer includes a stop, and begins anew, seconds.
+/// A pair that lasts longer includes a stop, and begins again, seconds.
 const LONGEST_S: f64 = 2.0;
 /// One point is followed in each square of this side, pixels.
 const CELL_PX: usize = 16;
@@ -107,8 +107,8 @@ impl FrameMatcher {
         let distance_m = kept.odom.distance_m(odom);
         let rotation_rad = wrap_angle(odom.yaw_rad - kept.odom.yaw_rad).abs();
         let is_arc = distance_m >= ON_THE_SPOT_M;
-        let is_far =
-            distance_m >= DISTANCE_M || rotation_rad >= if is_arc { ARC_RAD } else { ROTATION_RAD };
+        let least_rad = if is_arc { ARC_RAD } else { ROTATION_RAD };
+        let is_far = distance_m >= DISTANCE_M || rotation_rad >= least_rad;
         if is_far && time_s - kept.time_s <= LONGEST_S {
             self.compare(&kept, time_s, frame)?;
         }

@@ -39,7 +39,7 @@ const TRANSLATION_SPAN: f64 = 0.3;
 const LONGEST_SPAN_S: f64 = 3.0;
 /// Length of a block of time, seconds: several times longer than what neighbouring matches have in common.
 const BLOCK_S: f64 = 4.0;
-/// Scans are matched anew with better starts, because a match is drawn a little to where it began. In each round the residuals
+/// Scans are matched again with better starts, because a match is drawn a little to where it began. In each round the residuals
 /// count as this many times more uncertain than they are: a robust fit that trusts them too early keeps a wrong latency, with
 /// which most spans agree already.
 const ROUNDS: [f64; 4] = [10.0, 3.0, 1.0, 1.0];
@@ -160,7 +160,7 @@ impl<'a> Spans<'a> {
     /// `parameters` only say where spans end and how the yaw is unwrapped.
     fn new(wheels: &'a WheelPath, path: &[ScanPose], parameters: &LaserParameters) -> Self {
         let quiet = quiet(path, parameters);
-        let cut = |length| cut([wheels, &quiet], path, parameters, length);
+        let cut = |length| cut(wheels, &quiet, path, parameters, length);
         let yaw = cut(YAW_SPAN);
         let translation = cut(TRANSLATION_SPAN);
         Self { wheels, quiet, yaw, translation, widened: 1.0 }
@@ -274,7 +274,8 @@ pub(super) fn quiet(path: &[ScanPose], parameters: &LaserParameters) -> WheelPat
 
 /// Cuts the path into spans of at least this length, metres or radians.
 fn cut(
-    [wheels, quiet]: [&WheelPath; 2],
+    wheels: &WheelPath,
+    quiet: &WheelPath,
     path: &[ScanPose],
     parameters: &LaserParameters,
     length: f64,

@@ -56,7 +56,7 @@ fn reaction(config: &Config) -> String {
         write!(text, " ({scans} scans of the {}, {ms:.0} ms each at most", lidar.name())
     };
     if configured_s < reaction_s {
-        let cable_ms = 1e3 * lidar.cable_s();
+        let cable_ms = 1e3 * lidar.arrival_s();
         text += &if cable_ms > 0.0 {
             format!(", and {cable_ms:.0} ms until they arrive)")
         } else {

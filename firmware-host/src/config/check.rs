@@ -224,18 +224,17 @@ pub(super) fn devices(config: &Config) -> Vec<Problem> {
 /// A scanner that works must not count as silent.
 fn scans_arrive_in_time(config: &Config) -> Result<(), String> {
     let lidar = &config.devices.lidar;
-    let needed_s = SPARE_TIME * lidar.longest_period_s() + lidar.late_s();
+    let needed_s = SPARE_TIME * lidar.longest_period_s();
     let timeout_s = config.safety.scan_timeout_s;
     if timeout_s >= needed_s {
         return Ok(());
     }
     Err(format!(
-        "`scan_timeout_s = {timeout_s}` is too short for the {}, whose scans may come {:.3} s apart and {:.3} s late: the robot would stop between \
+        "`scan_timeout_s = {timeout_s}` is too short for the {}, whose scans may come {:.3} s apart: the robot would stop between \
          two of them; set it to {:.2}. The robot drives slower with a slow scanner (`firmware-host check`)",
         lidar.name(),
         lidar.longest_period_s(),
-        lidar.late_s(),
-        2.0 * lidar.longest_period_s() + lidar.late_s()
+        2.0 * lidar.longest_period_s()
     ))
 }
 

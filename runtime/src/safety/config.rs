@@ -83,6 +83,8 @@ pub struct SafetyConfig {
     pub back_off_timeout_s: f64,
     /// The robot does not drive by a scan that ended longer ago: two periods of the scanner.
     pub scan_timeout_s: f64,
+    /// Time by which scans are known later than their time stamps say. It is part of the time-out and of the reaction time.
+    pub scan_late_s: f64,
     /// Consecutive valid scans that are needed before the robot drives.
     pub good_scans: u32,
     /// The robot stops when the wheel feedback is older than this.
@@ -117,6 +119,7 @@ impl SafetySection {
             escape_radps: robot.turn_radps().min(ESCAPE_RADPS),
             back_off_timeout_s: self.back_off_timeout_s,
             scan_timeout_s: self.scan_timeout_s,
+            scan_late_s: 0.0,
             good_scans: 1,
             feedback_timeout_s: 0.2,
             plan_timeout_s: 0.3,

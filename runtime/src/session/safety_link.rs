@@ -59,7 +59,8 @@ pub struct SafetyPort {
 #[must_use]
 pub fn safety_link<B: Base, L: Lidar>(control: SafetyLoop<B, L>) -> (SafetyTask<B, L>, SafetyPort) {
     let (plan, plans) = triple_buffer(&None);
-    let (scan_writer, scans) = scan_history(control.lidar().geometry());
+    let late_ns = (1e9 * control.plane().config().scan_late_s) as u64;
+    let (scan_writer, scans) = scan_history(control.lidar().geometry(), late_ns);
     let (wheel_producer, wheels) = rtrb::RingBuffer::new(WHEELS);
     let (change_producer, changes) = rtrb::RingBuffer::new(CHANGES);
     let (sent_producer, sent) = rtrb::RingBuffer::new(SENT);

@@ -14,9 +14,9 @@ const REMEMBERED: usize = 24;
 /// exploration is busy.
 const SCANS: usize = 2 * REMEMBERED;
 
-/// Both ends of a circulation of scans.
+/// Both ends of a circulation of scans that are known `late_ns` later than their time stamps say.
 #[must_use]
-pub fn scan_history(geometry: ScanGeometry) -> (ScanWriter, ScanHistory) {
+pub fn scan_history(geometry: ScanGeometry, late_ns: u64) -> (ScanWriter, ScanHistory) {
     let (full, filled) = rtrb::RingBuffer::new(SCANS);
     let (mut spent, empty) = rtrb::RingBuffer::new(SCANS);
     for _ in 0..SCANS {
@@ -24,7 +24,7 @@ pub fn scan_history(geometry: ScanGeometry) -> (ScanWriter, ScanHistory) {
     }
     (
         ScanWriter { empty, full },
-        ScanHistory { filled, spent, past: VecDeque::with_capacity(SCANS), told_ns: None },
+        ScanHistory { filled, spent, past: VecDeque::with_capacity(SCANS), late_ns, told_ns: None },
     )
 }
 
@@ -51,6 +51,8 @@ pub struct ScanHistory {
     spent: rtrb::Producer<LaserScan>,
     /// The scans that are kept, oldest first.
     past: VecDeque<LaserScan>,
+    /// The scanner's latency: the newest scan may be older than a frame that was taken after it.
+    late_ns: u64,
     told_ns: Option<u64>,
 }
 
@@ -67,14 +69,14 @@ impl ScanHistory {
         }
     }
 
-    /// The scan whose middle is nearest to `time_ns`. `None` if it is two periods away or more, or
-    /// if this scan or a newer one was returned before: no scan is used twice.
+    /// The scan whose middle is nearest to `time_ns`. `None` if it is two periods and the scanner's
+    /// latency away or more, or if this scan or a newer one was returned before: no scan is used twice.
     pub fn nearest(&mut self, time_ns: u64) -> Option<&LaserScan> {
         let apart_ns =
             |scan: &LaserScan| (scan.time_ns + scan.geometry.period_ns / 2).abs_diff(time_ns);
         let scan = self.past.iter().min_by_key(|scan| apart_ns(scan))?;
         let is_news = self.told_ns.is_none_or(|told_ns| scan.time_ns > told_ns);
-        if !is_news || apart_ns(scan) >= 2 * scan.geometry.period_ns {
+        if !is_news || apart_ns(scan) >= 2 * scan.geometry.period_ns + self.late_ns {
             return None;
         }
         self.told_ns = Some(scan.time_ns);
@@ -100,7 +102,7 @@ mod tests {
     }
 
     fn with(numbers: std::ops::Range<u64>) -> (ScanWriter, ScanHistory) {
-        let (mut writer, mut history) = scan_history(GEOMETRY);
+        let (mut writer, mut history) = scan_history(GEOMETRY, 0);
         numbers.for_each(|number| writer.push(&scan(number)));
         history.update();
         (writer, history)
@@ -129,7 +131,21 @@ mod tests {
         assert!(history.nearest(12 * PERIOD_NS + middle_ns).is_none());
         assert!(history.nearest(8 * PERIOD_NS + middle_ns).is_none());
         assert!(history.nearest(12 * PERIOD_NS + middle_ns - 1).is_some());
-        assert!(scan_history(GEOMETRY).1.nearest(0).is_none());
+        assert!(scan_history(GEOMETRY, 0).1.nearest(0).is_none());
+    }
+
+    #[test]
+    fn the_newest_scan_of_a_late_scanner_is_used_though_it_is_old() {
+        let late_ns = 100_000_000;
+        let (mut writer, mut history) = scan_history(GEOMETRY, late_ns);
+        writer.push(&scan(10));
+        history.update();
+        let known_ns = scan(10).middle_ns() + late_ns + PERIOD_NS;
+        assert_eq!(history.nearest(known_ns), Some(&scan(10)));
+        writer.push(&scan(11));
+        history.update();
+        let silent_ns = scan(11).middle_ns() + late_ns + 2 * PERIOD_NS;
+        assert!(history.nearest(silent_ns).is_none());
     }
 
     #[test]
@@ -145,7 +161,7 @@ mod tests {
 
     #[test]
     fn handing_scans_on_allocates_nothing() {
-        let (mut writer, mut history) = scan_history(GEOMETRY);
+        let (mut writer, mut history) = scan_history(GEOMETRY, 0);
         let scans: Vec<_> = (0..200).map(scan).collect();
         let counted = allocation_counter::measure(|| {
             for scan in &scans {

@@ -8,15 +8,16 @@ use firmware_host::config::{Config, TruthSection};
 
 use crate::truth;
 
-/// Writes three configurations of robot number `seed`: as it was configured, as calibration found it, and of a robot about which
-/// everything is known. The focal length is right in all of them, because calibration only checks it.
+/// Writes three configurations of robot number `seed`: as it was configured, as calibration found it, and a robot that is as the default
+/// configuration says. The focal length is right in all of them, because calibration only checks it.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub fn write(dir: &Path, seed: u64, config: &Config, findings: &[Finding]) -> Result<()> {
-    let mut known = config.clone();
-    known.simulator.truth = TruthSection::default();
-    let robots = [("before", config), ("after", &corrected(config, findings)), ("known", &known)];
+    let mut nominal = config.clone();
+    nominal.simulator.truth = TruthSection::default();
+    let robots =
+        [("before", config), ("after", &corrected(config, findings)), ("nominal", &nominal)];
     for (name, robot) in robots {
         let mut robot = robot.clone();
         robot.simulator.truth.focal_percent = 0.0;
@@ -42,49 +43,49 @@ fn correct(config: &mut Config, parameter: Parameter, new: f64, value: f64) {
     let Config { camera, lidar, simulator, .. } = config;
     let truth = &mut simulator.truth;
     let percent = 100.0 * (value / new - 1.0);
-    let left = value - new;
+    let rest = value - new;
     // The simulated wheels and devices are configured by the defaults: their rests count alone.
     match parameter {
         Parameter::LeftRadius => truth.left_wheel_percent = percent,
         Parameter::RightRadius => truth.right_wheel_percent = percent,
         Parameter::Track => truth.track_percent = percent,
-        Parameter::LidarLatency => truth.lidar_late_s = 1e-3 * left,
-        Parameter::CameraLatency => truth.camera_late_s = 1e-3 * left,
+        Parameter::LidarLatency => truth.lidar_late_s = 1e-3 * rest,
+        Parameter::CameraLatency => truth.camera_late_s = 1e-3 * rest,
         Parameter::LidarForward => {
             lidar.forward_m = new;
-            truth.lidar_forward_m = left;
+            truth.lidar_forward_m = rest;
         }
         Parameter::LidarLeft => {
             lidar.left_m = new;
-            truth.lidar_left_m = left;
+            truth.lidar_left_m = rest;
         }
         Parameter::LidarYaw => {
             lidar.yaw_deg = new;
-            truth.lidar_yaw_deg = left;
+            truth.lidar_yaw_deg = rest;
         }
         Parameter::CameraRoll => {
             camera.roll_deg = new;
-            truth.camera_roll_deg = left;
+            truth.camera_roll_deg = rest;
         }
         Parameter::CameraPitch => {
             camera.pitch_down_deg = new;
-            truth.camera_pitch_down_deg = left;
+            truth.camera_pitch_down_deg = rest;
         }
         Parameter::CameraYaw => {
             camera.yaw_deg = new;
-            truth.camera_yaw_deg = left;
+            truth.camera_yaw_deg = rest;
         }
         Parameter::CameraForward => {
             camera.forward_m = new;
-            truth.camera_forward_m = left;
+            truth.camera_forward_m = rest;
         }
         Parameter::CameraLeft => {
             camera.left_m = new;
-            truth.camera_left_m = left;
+            truth.camera_left_m = rest;
         }
         Parameter::CameraHeight => {
             camera.height_m = new;
-            truth.camera_height_m = left;
+            truth.camera_height_m = rest;
         }
         Parameter::FocalLength => {}
     }

@@ -42,7 +42,7 @@ struct Arguments {
     #[arg(long, value_name = "NAME", requires = "watch")]
     only: Option<String>,
     /// Folder for configurations of each robot before and after its calibration.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with = "watch")]
     configurations: Option<PathBuf>,
     /// File for every error and standard deviation, as JSON.
     #[arg(long, value_name = "FILE")]
@@ -59,6 +59,9 @@ fn main() -> Result<()> {
         return watch::measure(seeds, arguments.only.as_deref(), arguments.seconds);
     }
     let length = Length { drive_s: arguments.seconds, frames_s: arguments.frames };
+    if let Some(dir) = &arguments.configurations {
+        std::fs::create_dir_all(dir)?;
+    }
     let mut trials = table::Trials::default();
     for seed in arguments.first..arguments.first + arguments.robots {
         let home = HOMES[seed as usize % HOMES.len()];

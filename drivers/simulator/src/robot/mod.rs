@@ -51,8 +51,9 @@ pub const CAMERA_LATENCY_S: f64 = 0.02;
 /// Root mean square slope of a finished floor, degrees. DIN 18202, table 3, line 3 allows 4 mm under
 /// a straight edge of 1 m.
 pub const FLOOR_TILT_DEG: f64 = 0.2;
-/// Largest latency and readout of a camera, seconds.
-const SLOWEST_CAMERA_S: f64 = 0.3;
+/// Largest latency of camera and scanner, and largest readout of a camera, seconds.
+const LATEST_S: f64 = 0.3;
+/// The same in words, for time stamps that may be early as well.
 const LATE_ALLOWED: &str = "from -0.3 to 0.3 s";
 /// Largest slope of a floor, radians.
 const STEEPEST_FLOOR_RAD: f64 = 0.1;
@@ -150,11 +151,11 @@ impl RobotOptions {
             }
         }
         let limits = [
-            ("camera latency", self.camera_latency_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
-            ("lateness of the camera", self.camera_late_s.abs(), SLOWEST_CAMERA_S, LATE_ALLOWED),
-            ("lateness of the scanner", self.lidar_late_s.abs(), SLOWEST_CAMERA_S, LATE_ALLOWED),
+            ("camera latency", self.camera_latency_s, LATEST_S, "from 0 to 0.3 s"),
+            ("lateness of the camera", self.camera_late_s.abs(), LATEST_S, LATE_ALLOWED),
+            ("lateness of the scanner", self.lidar_late_s.abs(), LATEST_S, LATE_ALLOWED),
             ("focal length", (self.focal_scale - 1.0).abs(), 0.5, "from 0.5 to 1.5 of the model's"),
-            ("rolling shutter", self.rolling_shutter_s, SLOWEST_CAMERA_S, "from 0 to 0.3 s"),
+            ("rolling shutter", self.rolling_shutter_s, LATEST_S, "from 0 to 0.3 s"),
             ("floor tilt", self.floor_tilt_rad, STEEPEST_FLOOR_RAD, "from 0 to 0.1 rad"),
         ];
         for (option, value, max, allowed) in limits {
