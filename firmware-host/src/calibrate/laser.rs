@@ -35,6 +35,8 @@ const PLAUSIBLE_LATENCY_S: f64 = 0.2;
 /// the noise of a match (some 2 mm) is small against the motion.
 const YAW_SPAN: f64 = 0.08;
 const TRANSLATION_SPAN: f64 = 0.3;
+/// A robot that drove less than this stays where it is, metres: ten times the noise of a match.
+const LEAST_DISTANCE_M: f64 = 0.02;
 /// A span that takes longer includes a stop, seconds. Spans of a robot that stands say nothing.
 const LONGEST_SPAN_S: f64 = 3.0;
 /// Length of a block of time, seconds: several times longer than what neighbouring matches have in common.
@@ -205,6 +207,11 @@ impl<'a> Spans<'a> {
         span: &Span,
         parameters: &DVector<f64>,
     ) -> DVector<f64> {
+        // Where the robot stays, the noise of the scans would be all of the derivative, and it is in the residual as well: every
+        // rotation on the spot would make the wheels a little larger.
+        let [_, distance_m, _] = span.extent;
+        let stays = compared != Compared::Yaw && distance_m < LEAST_DISTANCE_M;
+        let path = if stays { self.wheels } else { &self.quiet };
         let mut gradient = DVector::zeros(PARAMETERS);
         for index in 0..PARAMETERS {
             let mut residuals = [0.0; 2];
@@ -212,7 +219,7 @@ impl<'a> Spans<'a> {
                 let mut moved = parameters.clone();
                 moved[index] += change;
                 let moved = LaserParameters::from_vector(&moved);
-                *change_of = residual(&self.quiet, compared, span, &moved);
+                *change_of = residual(path, compared, span, &moved);
             }
             gradient[index] = (residuals[0] - residuals[1]) / (2.0 * STEP);
         }
