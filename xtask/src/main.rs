@@ -99,7 +99,7 @@ enum Chore {
         #[arg(long)]
         update: bool,
     },
-    /// Drive simulated robots whose configuration is wrong, calibrate them, and print the errors. Takes 40 minutes on two cores.
+    /// Drive simulated robots whose configuration is wrong, calibrate them, and print the errors. Takes half an hour.
     Calibration {
         /// Instead: compare depth and map of the robots before and after their calibration.
         #[arg(long)]

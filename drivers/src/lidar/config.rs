@@ -109,14 +109,14 @@ impl LidarConfig {
     }
 
     /// The time that the end of a scan takes to this program at most, seconds. A Hokuyo's scans have
-    /// the scanner's own time. A measured latency includes the cable.
+    /// the scanner's own time. A measured latency is a mean, and the cable may add to it.
     #[must_use]
     pub fn arrival_s(&self) -> f64 {
         let cable_s = match self.kind {
             LidarKind::Hokuyo => 0.0,
             LidarKind::Rplidar | LidarKind::Ld06 => CABLE_S,
         };
-        self.late_s().max(cable_s)
+        self.late_s() + cable_s
     }
 
     /// The time by which scans are known later than their corrected time stamps say, seconds.

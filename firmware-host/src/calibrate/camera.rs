@@ -37,7 +37,7 @@ const TILT_RAD_PER_M: f64 = 0.02;
 /// An error across the path that all arcs between two frames may have in common. It is fitted: with it the camera's place, which was off by 6
 /// mm in ten simulated robots, is as uncertain as that.
 const BENT_M: f64 = 0.0007;
-/// No corner is followed better than this, pixels, and neither is the mean of all corners of a pair: interpolation moves all of them alike.
+/// No corner is followed better than this, pixels, and neither is the mean of all corners of a pair: interpolation may move all of them alike.
 const LEAST_SIGMA_PX: f64 = 0.02;
 /// Horizontal bands of the image. In each of them the points of a robot that rotates on the spot, whose distances do not show, are
 /// as far away as those of a robot that drives.
@@ -47,7 +47,7 @@ const CERTAIN: f64 = 0.1;
 /// A band with fewer certain points has the mean of all bands.
 const LEAST_IN_BAND: f64 = 30.0;
 /// What the mean inverse distance of the places where the robot rotates may differ from that of the places where it drives, 1/m. Our own
-/// choice: the mean is 0.3 to 0.6 in built-in homes.
+/// choice.
 const DIFFERENT: f64 = 0.1;
 /// Length of a block of time, seconds.
 const BLOCK_S: f64 = 4.0;

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::finding::{Finding, Nature, Parameter, Verdict};
+use super::finding::{Finding, Nature};
 
 /// Where measured values come from.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,17 +52,14 @@ pub fn text(findings: &[Finding], provenance: &Provenance) -> String {
     text
 }
 
-/// Section and name of a finding's key, if it is to be written. Scans that are stamped early are not corrected, because a scan of the future
-/// would seem to be new for too long.
+/// Section and name of a finding's key, if it is to be written.
 fn place(finding: &Finding) -> Option<(&'static str, &'static str)> {
-    let is_early = finding.parameter == Parameter::LidarLatency && finding.new < 0.0;
-    let is_measured =
-        matches!(finding.verdict(), Verdict::AsConfigured | Verdict::Changed) && !is_early;
-    finding.parameter.nature().key.filter(|_| is_measured)?.rsplit_once('.')
+    finding.parameter.nature().key.filter(|_| finding.is_written())?.rsplit_once('.')
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::finding::Parameter;
     use super::*;
     use crate::config::Config;
     use std::path::Path;

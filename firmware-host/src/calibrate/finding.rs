@@ -194,6 +194,14 @@ pub enum Verdict {
 }
 
 impl Finding {
+    /// Whether `calibration.toml` gets the new value, if the parameter has a key. Scans that are stamped early are not corrected,
+    /// because a scan of the future would seem to be new for too long.
+    #[must_use]
+    pub fn is_written(&self) -> bool {
+        let is_early = self.parameter == Parameter::LidarLatency && self.new < 0.0;
+        matches!(self.verdict(), Verdict::AsConfigured | Verdict::Changed) && !is_early
+    }
+
     /// What the finding is worth.
     #[must_use]
     pub fn verdict(&self) -> Verdict {

@@ -25,7 +25,7 @@ const NEAR: f64 = 0.3;
 const LARGEST_SIGMA: f64 = 0.1;
 /// Rays that go down less than this meet the floor too far away: an error of the pitch counts too much.
 pub(super) const LEAST_DOWN: f64 = 0.12;
-/// Share of the points that noise alone puts below the floor, at least: half of those of the floor, which are a third of all or more.
+/// Share of the points that noise alone puts below the floor, at least: half of those of the floor, which are assumed to be a third of all.
 const LEAST_BELOW: f64 = 0.15;
 const BLOCK_S: f64 = 4.0;
 /// With fewer points there is no floor to be seen.

@@ -45,8 +45,8 @@ const BLOCK_S: f64 = 4.0;
 /// count as this many times more uncertain than they are: a robust fit that trusts them too early keeps a wrong latency, with
 /// which most spans agree already.
 const ROUNDS: [f64; 4] = [10.0, 3.0, 1.0, 1.0];
-/// What the latency is off by in every drive, seconds: the wheels are known once a tick, and between ticks their speeds count as
-/// constant. It is fitted to drives of ten minutes by ten simulated robots.
+/// What the latency is off by in every drive, however long, seconds; probably because the wheels are known once a tick, and their
+/// speeds count as constant between ticks. It is fitted to drives of ten minutes by ten simulated robots.
 const COMMON_LATENCY_S: f64 = 0.0007;
 /// Fewer spans than this are no drive.
 const LEAST_SPANS: usize = 30;

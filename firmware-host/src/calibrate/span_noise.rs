@@ -9,7 +9,7 @@ use super::least_squares::robust_sigma;
 /// What the variance of a span grows with: 1 for the scans, metres and radians for the wheels.
 pub(super) type Extent = [f64; 3];
 
-/// Steps of the estimate. It changes by less than a percent after ten.
+/// Steps of the estimate, our own choice.
 const ITERATIONS: usize = 20;
 /// A part of the variance is measured by at least this many spans in which it is the largest. Otherwise it stays what it was assumed to be.
 const LEAST_SPANS: usize = 12;

@@ -224,5 +224,8 @@ mod tests {
         assert!((late.reaction_s - exact.reaction_s - 0.04).abs() < 1e-9);
         assert!((late.scan_timeout_s - exact.scan_timeout_s - 0.04).abs() < 1e-9);
         assert!(late.top_speed_mps() < exact.top_speed_mps());
+        config.devices.lidar.kind = LidarKind::Ld06;
+        let on_a_cable_s = config.live_safety_config().reaction_s;
+        assert!((on_a_cable_s - (0.375 + 0.04)).abs() < 1e-9, "{on_a_cable_s}");
     }
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use firmware_host::calibrate::{Finding, Parameter, Verdict};
+use firmware_host::calibrate::{Finding, Parameter};
 use firmware_host::config::{Config, TruthSection};
 
 use crate::truth;
@@ -31,7 +31,7 @@ pub fn write(dir: &Path, seed: u64, config: &Config, findings: &[Finding]) -> Re
 fn corrected(config: &Config, findings: &[Finding]) -> Config {
     let mut corrected = config.clone();
     for finding in findings {
-        if matches!(finding.verdict(), Verdict::AsConfigured | Verdict::Changed) {
+        if finding.is_written() {
             let truth = truth::value(config, finding.parameter);
             correct(&mut corrected, finding.parameter, finding.new, truth);
         }
