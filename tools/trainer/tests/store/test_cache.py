@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from io import FileIO
 from pathlib import Path
 
 import pytest
@@ -107,6 +108,25 @@ def test_threads_that_want_the_same_file_download_it_once(tmp_path: Path) -> Non
     with ThreadPoolExecutor(8) as threads:
         assert set(threads.map(wanted, range(8))) == {content(1)}
     assert len(downloads) == 1
+
+
+def test_a_file_that_was_completed_since_it_was_not_found_is_not_downloaded_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = Cache(tmp_path, 100)
+    find = cache.find
+
+    def found_once_completed(digest: str) -> FileIO | None:
+        monkeypatch.setattr(cache, "find", find)
+        missing = find(digest)
+        read(Cache(tmp_path, 100), content(1))
+        return missing
+
+    monkeypatch.setattr(cache, "find", found_once_completed)
+    downloads: list[bytes] = []
+    assert read(cache, content(1), downloads) == content(1)
+    assert not downloads
+    assert [file.name for file in cache.files.iterdir()] == [digest_of(content(1))]
 
 
 def test_a_file_that_is_deleted_stays_readable_where_it_is_open(tmp_path: Path) -> None:

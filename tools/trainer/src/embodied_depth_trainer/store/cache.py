@@ -107,6 +107,11 @@ class Cache:
                 stream.close()
                 return None
             try:
+                # Another may have completed the file after it was not found here and before this partial file was made.
+                if (found := self.find(digest)) is not None:
+                    partial.unlink()
+                    stream.close()
+                    return found
                 # What a killed process has left of it would be counted beside it.
                 stream.truncate(0)
                 self._reserve(stream, size)
