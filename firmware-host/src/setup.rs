@@ -72,8 +72,11 @@ pub fn lidar_agreement(config: &Config) -> LidarAgreement {
 /// The safety LiDAR as the camera sees it.
 #[must_use]
 pub fn lidar_view(config: &Config) -> LidarView {
-    let t_camera_laser = config.camera.t_base_camera().inverse() * config.lidar.t_base_laser_3d();
-    LidarView { camera: config.camera.model(), t_camera_laser }
+    LidarView {
+        camera: config.camera.model(),
+        t_base_camera: config.camera.t_base_camera(),
+        t_base_laser: config.lidar.t_base_laser_3d(),
+    }
 }
 
 /// What a recording says of its run.

@@ -30,8 +30,10 @@ impl Range {
     }
 }
 
-/// Directions and limits of the beams of a scan. Angles are counter-clockwise from the x axis of
+/// Directions, limits and times of the beams of a scan. Angles are counter-clockwise from the x axis of
 /// the `laser` frame.
+///
+/// A revolution begins and ends straight behind, at an angle of pi, so that the beam straight ahead is measured in its middle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScanGeometry {
     /// Direction of the first beam.
@@ -43,8 +45,10 @@ pub struct ScanGeometry {
     pub range_min_m: f32,
     /// Longest distance that the sensor measures.
     pub range_max_m: f32,
-    /// Time from the start of one scan to the start of the next.
+    /// Time from the start of one scan to the start of the next: of one revolution.
     pub period_ns: u64,
+    /// The scanner rotates clockwise, seen against the z axis of the `laser` frame: the last beam is measured first.
+    pub clockwise: bool,
 }
 
 impl ScanGeometry {
@@ -57,11 +61,19 @@ impl ScanGeometry {
         range_min_m: 0.1,
         range_max_m: 30.0,
         period_ns: 25_000_000,
+        clockwise: false,
     };
 
     #[must_use]
     pub fn angle_rad(&self, beam: usize) -> f64 {
         self.angle_min_rad + self.angle_increment_rad * beam as f64
+    }
+
+    /// Time from the middle of a scan to a beam, seconds; negative for beams that are measured before.
+    #[must_use]
+    pub fn after_middle_s(&self, beam: usize) -> f64 {
+        let rotated_rad = if self.clockwise { -self.angle_rad(beam) } else { self.angle_rad(beam) };
+        rotated_rad / core::f64::consts::TAU * (self.period_ns as f64 * 1e-9)
     }
 }
 
@@ -142,6 +154,18 @@ mod tests {
         assert!((geometry.angle_rad(0) + 0.75 * core::f64::consts::PI).abs() < 1e-12);
         assert!(geometry.angle_rad(540).abs() < 1e-12);
         assert!((geometry.angle_rad(1080) - 0.75 * core::f64::consts::PI).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_beam_ahead_is_measured_in_the_middle_and_those_to_the_right_before_or_after_it() {
+        let hokuyo = ScanGeometry::UTM_30LX;
+        let others = ScanGeometry { clockwise: true, ..hokuyo };
+        for geometry in [hokuyo, others] {
+            assert!(geometry.after_middle_s(540).abs() < 1e-12);
+        }
+        // Three eighths of 25 ms to the right, where the angle is negative.
+        assert!((hokuyo.after_middle_s(0) + 0.009_375).abs() < 1e-12);
+        assert!((others.after_middle_s(0) - 0.009_375).abs() < 1e-12);
     }
 
     #[test]

@@ -147,7 +147,8 @@ mod tests {
     fn agreement() -> LidarAgreement {
         LidarAgreement::new(LidarView {
             camera: CameraModel::pinhole(8, 1, 1.0),
-            t_camera_laser: Pose3::identity(),
+            t_base_camera: Pose3::identity(),
+            t_base_laser: Pose3::identity(),
         })
     }
 

@@ -49,6 +49,7 @@ const GEOMETRY: ScanGeometry = ScanGeometry {
     range_min_m: 0.1,
     range_max_m: 30.0,
     period_ns: 25 * MS,
+    clockwise: false,
 };
 
 #[derive(Debug, Clone, Copy, PartialEq)]

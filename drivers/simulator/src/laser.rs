@@ -1,7 +1,5 @@
 //! Simulation of a planar laser scanner.
 
-use std::f64::consts::TAU;
-
 use hal::{LaserScan, Pose3, Range, ScanGeometry};
 use nalgebra::Vector3;
 use rand::{Rng, RngExt};
@@ -63,6 +61,19 @@ impl LaserModel {
         ..Self::UTM_30LX
     };
 
+    fn hit(
+        &self,
+        renderer: &Renderer,
+        origin: &Vector3<f64>,
+        direction: &Vector3<f64>,
+        bodies: &[Capsule],
+    ) -> Option<Hit> {
+        // Slightly farther than the maximum range, because noise can bring a return into it.
+        let reach_m = f64::from(self.geometry.range_max_m) + 4.0 * self.noise_far_m;
+        let [origin, direction] = [*origin, *direction].map(Into::into);
+        renderer.hit(origin, direction, reach_m, bodies, self.misses_materials)
+    }
+
     fn measure(&self, hit: Option<Hit>, direction: &Vector3<f64>, rng: &mut impl Rng) -> Range {
         // Every beam draws the same number of random values whatever it hits, so that a change of
         // one beam does not change the noise of the others.
@@ -92,13 +103,30 @@ impl LaserModel {
     }
 }
 
-/// Time from the start of a revolution to a beam, nanoseconds. A revolution starts when the mirror
-/// points backwards, so that the beam straight ahead is measured halfway through it: a scanner of
-/// 270 degrees at 40 Hz measures its first beam after 3.1 ms and its last after 21.9 ms of 25 ms.
+/// Time from the start of a revolution to a beam, nanoseconds: a scanner of 270 degrees at 40 Hz measures its first beam
+/// after 3.1 ms and its last after 21.9 ms of 25 ms.
 #[must_use]
 pub fn beam_after_ns(geometry: &ScanGeometry, beam: usize) -> u64 {
-    let share = 0.5 + geometry.angle_rad(beam) / TAU;
-    (share.clamp(0.0, 1.0) * geometry.period_ns as f64) as u64
+    let period_ns = geometry.period_ns as f64;
+    (0.5 * period_ns + geometry.after_middle_s(beam) * 1e9).clamp(0.0, period_ns) as u64
+}
+
+/// Measures one beam from `t_world_laser`, in a direction counter-clockwise from its x axis, radians.
+pub fn beam(
+    renderer: &Renderer,
+    t_world_laser: &Pose3,
+    angle_rad: f64,
+    bodies: &[Capsule],
+    model: &LaserModel,
+    rng: &mut impl Rng,
+) -> Range {
+    let (origin, direction) = ray(t_world_laser, angle_rad);
+    model.measure(model.hit(renderer, &origin, &direction, bodies), &direction, rng)
+}
+
+fn ray(t_world_laser: &Pose3, angle_rad: f64) -> (Vector3<f64>, Vector3<f64>) {
+    let (sin, cos) = angle_rad.sin_cos();
+    (t_world_laser.translation.vector, t_world_laser.rotation * Vector3::new(cos, sin, 0.0))
 }
 
 /// Takes one scan into `scan`. `t_world_laser` gives the pose of the scanner while it measures a
@@ -114,21 +142,12 @@ pub fn scan(
 ) {
     let geometry = &model.geometry;
     let beams: Vec<(Vector3<f64>, Vector3<f64>)> = (0..geometry.beams)
-        .map(|beam| {
-            let pose = t_world_laser(beam);
-            let (sin, cos) = geometry.angle_rad(beam).sin_cos();
-            (pose.translation.vector, pose.rotation * Vector3::new(cos, sin, 0.0))
-        })
+        .map(|beam| ray(&t_world_laser(beam), geometry.angle_rad(beam)))
         .collect();
-    // Slightly farther than the maximum range, because noise can bring a return into it.
-    let reach_m = f64::from(geometry.range_max_m) + 4.0 * model.noise_far_m;
     let hits: Vec<Option<Hit>> = beams
         .par_iter()
         .with_min_len(64)
-        .map(|(origin, direction)| {
-            let [origin, direction] = [*origin, *direction].map(Into::into);
-            renderer.hit(origin, direction, reach_m, bodies, model.misses_materials)
-        })
+        .map(|(origin, direction)| model.hit(renderer, origin, direction, bodies))
         .collect();
     scan.time_ns = time_ns;
     scan.geometry = *geometry;

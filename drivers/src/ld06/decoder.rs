@@ -42,10 +42,9 @@ impl Decoder {
                 }
                 for (index, point) in packet.points.iter().enumerate() {
                     let clockwise_rad = packet.angle_rad(index);
-                    let before_rad = self.last_rad.replace(clockwise_rad);
-                    let starts_revolution = before_rad.is_some_and(|before| clockwise_rad < before);
+                    self.last_rad = Some(clockwise_rad);
                     let range = range(*point, self.min_confidence);
-                    sink(Event::Sample(Sample { clockwise_rad, range, starts_revolution }));
+                    sink(Event::Sample(Sample { clockwise_rad, range }));
                 }
             }
         }
@@ -98,19 +97,6 @@ mod tests {
 
     fn revolution() -> Vec<u8> {
         (0..39).flat_map(|index| packet_at((index * 960) % 36_000).write()).collect()
-    }
-
-    #[test]
-    fn a_revolution_begins_with_the_first_point_beyond_the_zero() {
-        let starts: Vec<usize> = events(&revolution())
-            .iter()
-            .enumerate()
-            .filter(|(_, event)| {
-                matches!(event, Event::Sample(Sample { starts_revolution: true, .. }))
-            })
-            .map(|(index, _)| index)
-            .collect();
-        assert_eq!(starts, [450], "450 points of 0.8 degrees");
     }
 
     #[test]

@@ -18,7 +18,7 @@ pub fn open(place: Place, config: &Ld06Config) -> Result<RotaryLidar, RotaryErro
         port: place.port,
         device: NAME,
         baud: BAUD,
-        geometry: config.geometry(),
+        geometry: place.mount.geometry(config.geometry()),
         mount: place.mount,
         good_scans: place.good_scans,
     };

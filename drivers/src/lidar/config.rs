@@ -67,14 +67,15 @@ impl LidarConfig {
         }
     }
 
+    /// How a rotating scanner is mounted.
+    fn mount(&self) -> Mount {
+        Mount { zero_rad: self.zero_deg.to_radians(), upside_down: self.upside_down }
+    }
+
     /// Connection and mount for the drivers of rotating scanners.
     #[must_use]
     pub fn place(&self) -> Place {
-        Place {
-            port: self.port.clone(),
-            mount: Mount { zero_rad: self.zero_deg.to_radians(), upside_down: self.upside_down },
-            good_scans: self.good_scans,
-        }
+        Place { port: self.port.clone(), mount: self.mount(), good_scans: self.good_scans }
     }
 
     /// The scanner's name in messages.
@@ -92,8 +93,8 @@ impl LidarConfig {
     pub fn geometry(&self) -> ScanGeometry {
         match self.kind {
             LidarKind::Hokuyo => self.model.geometry(self.upside_down),
-            LidarKind::Rplidar => self.rplidar.geometry(),
-            LidarKind::Ld06 => self.ld06.geometry(),
+            LidarKind::Rplidar => self.mount().geometry(self.rplidar.geometry()),
+            LidarKind::Ld06 => self.mount().geometry(self.ld06.geometry()),
         }
     }
 

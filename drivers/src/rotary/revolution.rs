@@ -10,6 +10,9 @@ use super::Sample;
 const BEAMS: [usize; 12] = [180, 240, 300, 360, 400, 480, 600, 720, 900, 1080, 1200, 1440];
 /// A motor that rotates faster than it should by this factor still meets every beam.
 const FASTER: f64 = 1.1;
+/// Directions jitter by some degrees, so that a scanner seems to pass the same direction repeatedly. A revolution has
+/// measured this part of its beams at least: 22 degrees. Our own choice.
+const JITTER: usize = 16;
 
 /// How a scanner is mounted.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -26,10 +29,16 @@ impl Mount {
     pub fn angle_rad(&self, clockwise_rad: f64) -> f64 {
         if self.upside_down { self.zero_rad + clockwise_rad } else { self.zero_rad - clockwise_rad }
     }
+
+    /// The geometry of the scans of a scanner that is mounted so. `upright` is that of one that is not upside down.
+    #[must_use]
+    pub fn geometry(&self, upright: ScanGeometry) -> ScanGeometry {
+        ScanGeometry { clockwise: upright.clockwise != self.upside_down, ..upright }
+    }
 }
 
 /// The geometry of the scans of a scanner with this many measurements in a revolution: a whole circle
-/// in beams that each hold at least one measurement, counter-clockwise from straight behind.
+/// in beams that each hold at least one measurement, counter-clockwise from straight behind. They are measured clockwise.
 #[must_use]
 pub fn circle(samples_per_revolution: f64, range_m: (f32, f32), period_ns: u64) -> ScanGeometry {
     let most = samples_per_revolution / FASTER;
@@ -41,6 +50,7 @@ pub fn circle(samples_per_revolution: f64, range_m: (f32, f32), period_ns: u64) 
         range_min_m: range_m.0,
         range_max_m: range_m.1,
         period_ns,
+        clockwise: true,
     }
 }
 
@@ -52,6 +62,10 @@ pub struct Revolution {
     angle_increment_rad: f64,
     mount: Mount,
     beams: Vec<Option<Range>>,
+    /// Measurements since the revolution began.
+    measured: usize,
+    /// Angle from straight behind to the last measurement, in the direction of the rotation, radians from 0 to 2 pi.
+    rotated_rad: Option<f64>,
 }
 
 impl Revolution {
@@ -63,11 +77,29 @@ impl Revolution {
             angle_increment_rad: geometry.angle_increment_rad,
             mount,
             beams: vec![None; geometry.beams],
+            measured: 0,
+            rotated_rad: None,
         }
+    }
+
+    /// Whether a measurement, which was not added yet, is the first of the next revolution. Revolutions begin straight behind,
+    /// so that what is ahead is measured in the middle of one, and not at its beginning and its end.
+    #[must_use]
+    pub fn ends_before(&self, sample: &Sample) -> bool {
+        let Some(before_rad) = self.rotated_rad else { return false };
+        before_rad - self.rotated_rad(sample) > PI && self.measured > self.beams.len() / JITTER
+    }
+
+    fn rotated_rad(&self, sample: &Sample) -> f64 {
+        let angle_rad = self.mount.angle_rad(sample.clockwise_rad);
+        let rotation_rad = if self.mount.upside_down { angle_rad } else { -angle_rad };
+        (rotation_rad + PI).rem_euclid(TAU)
     }
 
     /// Adds a measurement. Of several in one beam the nearest counts.
     pub fn add(&mut self, sample: &Sample) {
+        self.measured += 1;
+        self.rotated_rad = Some(self.rotated_rad(sample));
         let beam = self.beam(sample.clockwise_rad);
         if let Some(known) = self.beams.get_mut(beam) {
             *known = Some(known.map_or(finite(sample.range), |known| nearer(known, sample.range)));
@@ -76,6 +108,7 @@ impl Revolution {
 
     /// Copies the ranges of all beams, and begins the next revolution.
     pub fn finish(&mut self, ranges: &mut Vec<Range>) {
+        self.measured = 0;
         ranges.clear();
         ranges.extend(self.beams.iter_mut().map(|beam| beam.take().unwrap_or(Range::Error)));
     }
@@ -115,7 +148,7 @@ mod tests {
     const RANGE_M: (f32, f32) = (0.1, 12.0);
 
     fn sample(clockwise_deg: f64, range: Range) -> Sample {
-        Sample { clockwise_rad: clockwise_deg.to_radians(), range, starts_revolution: false }
+        Sample { clockwise_rad: clockwise_deg.to_radians(), range }
     }
 
     /// The direction in degrees of every beam with a hit.
@@ -147,6 +180,58 @@ mod tests {
         assert_eq!(hits_deg(turned, &ahead), [0.0]);
         let over = Mount { zero_rad: 0.0, upside_down: true };
         assert_eq!(hits_deg(over, &ahead), [90.0]);
+    }
+
+    /// The clockwise directions, in degrees, of the measurements that begin a revolution.
+    fn begins_deg(mount: Mount, clockwise_deg: impl Iterator<Item = f64>) -> Vec<f64> {
+        let mut revolution = Revolution::new(&circle(450.0, RANGE_M, 1), mount);
+        let mut begins = Vec::new();
+        for degrees in clockwise_deg {
+            let sample = sample(degrees.rem_euclid(360.0), Range::Hit(1.0));
+            if revolution.ends_before(&sample) {
+                revolution.finish(&mut Vec::new());
+                begins.push(degrees.rem_euclid(360.0));
+            }
+            revolution.add(&sample);
+        }
+        begins
+    }
+
+    #[test]
+    fn revolutions_begin_straight_behind_however_the_scanner_is_mounted() {
+        let three = || (0..1500).map(|index| 90.25 + 0.75 * f64::from(index));
+        let rounded = |mount| -> Vec<f64> {
+            begins_deg(mount, three()).iter().map(|degrees| degrees.round()).collect()
+        };
+        assert_eq!(rounded(Mount::default()), [180.0; 3]);
+        let turned = Mount { zero_rad: 90_f64.to_radians(), upside_down: false };
+        assert_eq!(rounded(turned), [270.0; 3], "the zero points to the left");
+        let over = Mount { zero_rad: 90_f64.to_radians(), upside_down: true };
+        assert_eq!(rounded(over), [90.0; 3]);
+    }
+
+    #[test]
+    fn neither_jitter_nor_missing_measurements_nor_a_wrong_direction_make_a_revolution_of_their_own()
+     {
+        let clean = || (0..1350).map(|index| 90.2 + 0.8 * f64::from(index));
+        // The directions jump back and forth by 6 degrees.
+        let jitter = clean().enumerate().map(|(index, degrees)| degrees - 6.0 * (index % 2) as f64);
+        assert_eq!(begins_deg(Mount::default(), jitter).len(), 3);
+        // 120 degrees around straight behind are missing.
+        let gap = clean().filter(|degrees| (degrees.rem_euclid(360.0) - 180.0).abs() > 60.0);
+        assert_eq!(begins_deg(Mount::default(), gap).len(), 3);
+        // One measurement claims to be elsewhere, just after a revolution has begun.
+        let wrong =
+            clean().enumerate().map(|(index, degrees)| if index == 120 { 170.0 } else { degrees });
+        assert_eq!(begins_deg(Mount::default(), wrong).len(), 3);
+    }
+
+    #[test]
+    fn a_scanner_that_is_mounted_upside_down_measures_counter_clockwise() {
+        let upright = circle(450.0, RANGE_M, 1);
+        let over = Mount { zero_rad: 0.0, upside_down: true };
+        assert!(Mount::default().geometry(upright).clockwise);
+        assert!(!over.geometry(upright).clockwise);
     }
 
     #[test]

@@ -8,8 +8,6 @@ pub struct Sample {
     /// Direction clockwise, seen from above an upright scanner, from the scanner's zero, radians from 0 to 2 pi.
     pub clockwise_rad: f64,
     pub range: Range,
-    /// Whether it is the first of a new revolution.
-    pub starts_revolution: bool,
 }
 
 /// What a codec found in the bytes.

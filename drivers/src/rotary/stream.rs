@@ -163,7 +163,7 @@ impl Publisher<'_> {
         match event {
             Event::Sample(sample) => {
                 self.data_ns = Some(arrival_ns);
-                if sample.starts_revolution {
+                if self.revolution.ends_before(&sample) {
                     self.end_revolution(arrival_ns);
                 }
                 self.revolution.add(&sample);

@@ -122,11 +122,7 @@ fn sample_of(measurement: &Measurement, range_m: (f32, f32)) -> Sample {
         Measurement { quality: 0, .. } => Range::Error,
         _ => range(distance_m, range_m),
     };
-    Sample {
-        clockwise_rad: angle_rad(f64::from(measurement.angle_q6)),
-        range,
-        starts_revolution: measurement.starts_revolution,
-    }
+    Sample { clockwise_rad: angle_rad(f64::from(measurement.angle_q6)), range }
 }
 
 /// An express scan.
@@ -138,8 +134,6 @@ struct Capsules {
     before: Option<Capsule>,
     /// Angle between the starts of the last two capsules, 1/64 degree.
     step_q6: Option<f64>,
-    /// Uncorrected angle of the last measurement, 1/64 degree.
-    last_q6: Option<f64>,
 }
 
 impl Capsules {
@@ -150,7 +144,6 @@ impl Capsules {
             skipped: 0,
             before: None,
             step_q6: None,
-            last_q6: None,
         }
     }
 
@@ -172,7 +165,6 @@ impl Capsules {
         self.skipped = self.framer.skipped();
         if capsule.is_new_scan() {
             self.step_q6 = None;
-            self.last_q6 = None;
         }
         let before =
             self.before.replace(capsule).filter(|_| !is_after_noise && !capsule.is_new_scan());
@@ -205,17 +197,12 @@ impl Capsules {
                 + step_q6 * index as f64 / count as f64)
                 .rem_euclid(full_circle_q6);
             let cell = capsule.cell(index);
-            // Starts of capsules may jitter, so only a fall by half a revolution is its end.
-            let starts_revolution = self
-                .last_q6
-                .replace(raw_q6)
-                .is_some_and(|last| last - raw_q6 > full_circle_q6 / 2.0);
             let range = match cell.distance_mm {
                 0 => Range::NoReturn,
                 distance_mm => range(f32::from(distance_mm) / 1000.0, range_m),
             };
             let clockwise_rad = angle_rad(raw_q6 - 8.0 * f64::from(cell.correction_q3));
-            sink(Event::Sample(Sample { clockwise_rad, range, starts_revolution }));
+            sink(Event::Sample(Sample { clockwise_rad, range }));
         }
     }
 }
@@ -326,20 +313,6 @@ mod tests {
             samples(&events).len(),
             samples(&super::tests::events(&capsules(60))).len() - 64
         );
-    }
-
-    #[test]
-    fn revolutions_begin_at_the_zero_in_both_kinds_of_scan() {
-        let express = samples(&events(&capsules(80)));
-        let starts = express.iter().filter(|sample| sample.starts_revolution).count();
-        assert_eq!(starts, 3);
-        let standard = samples(&events(&measurements(1000, |_| false)));
-        let starts: Vec<f64> = standard
-            .iter()
-            .filter(|sample| sample.starts_revolution)
-            .map(|sample| sample.clockwise_rad)
-            .collect();
-        assert_eq!(starts, [0.0; 3]);
     }
 
     #[test]

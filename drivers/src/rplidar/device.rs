@@ -22,7 +22,7 @@ pub fn open(place: Place, config: &RplidarConfig) -> Result<RotaryLidar, RotaryE
         port: place.port,
         device: config.model.spec().name,
         baud: config.baud(),
-        geometry: config.geometry(),
+        geometry: place.mount.geometry(config.geometry()),
         mount: place.mount,
         good_scans: place.good_scans,
     };

@@ -128,6 +128,7 @@ impl Model {
             range_min_m: spec.range_m.0,
             range_max_m: spec.range_m.1,
             period_ns: 60_000_000_000 / u64::from(spec.rpm),
+            clockwise: upside_down,
         }
     }
 

@@ -263,7 +263,7 @@ fn ring_offsets(ring: i32) -> impl Iterator<Item = (i32, i32)> {
 #[cfg(test)]
 mod tests {
     use hal::{Clock, LaserScan, Lidar};
-    use runtime::mapping::{LidarUse, MapConfig};
+    use runtime::mapping::{LidarUse, MapConfig, Sweep};
     use simulator::laser::LaserModel;
     use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
     use std::sync::{Arc, LazyLock};
@@ -307,7 +307,7 @@ mod tests {
             let t_world_map = truth.compose(&believed.inverse());
             for _ in 0..4 {
                 map.begin_update(&believed).unwrap();
-                map.integrate_scan(scan, &believed).unwrap();
+                map.integrate_scan(scan, &Sweep::at_rest(believed)).unwrap();
                 map.finish_update();
                 for cell in map.newly_known() {
                     let [x_m, y_m] = map.center_m(*cell);

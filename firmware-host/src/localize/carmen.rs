@@ -135,6 +135,7 @@ fn assemble(entries: Vec<Entry>) -> Option<Log> {
         range_max_m: range_max_m as f32,
         // The mirror of these scanners takes 13 to 27 ms; the log holds the time between scans, which is far longer.
         period_ns: 0,
+        clockwise: false,
     };
     let odometry = odometry_source(&entries);
     let wheels = wheel_poses(&entries, odometry);

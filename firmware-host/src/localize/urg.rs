@@ -26,6 +26,7 @@ const GEOMETRY: ScanGeometry = ScanGeometry {
     range_max_m: 4.095,
     // The log's times are those of arrival, so that nothing is known about the times of beams.
     period_ns: 0,
+    clockwise: false,
 };
 
 /// One rotation of the motor.

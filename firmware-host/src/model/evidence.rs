@@ -190,10 +190,10 @@ impl Clip {
     fn sample(&self, tick: &RecordedTick, bin: PoseBin) -> Option<Sample<'_>> {
         let newest = self.seen.back()?;
         let earlier = self.seen.len() - 1;
-        let t_camera_laser = self.run.t_base_camera.inverse() * self.run.t_base_laser;
-        let view = LidarView { camera: self.run.camera, t_camera_laser };
-        let line =
-            tick.scan.as_ref().map(|scan| view.at(scan, tick.wheel.time_ns)).unwrap_or_default();
+        let RunHeader { camera, t_base_camera, t_base_laser, .. } = self.run;
+        let view = LidarView { camera, t_base_camera, t_base_laser };
+        let scan = tick.scan.as_ref();
+        let line = scan.map(|scan| view.at(scan, &tick.scan_odom, &tick.wheel)).unwrap_or_default();
         let candidates: Vec<(f64, &Seen)> =
             self.seen.iter().take(earlier).filter_map(|seen| source(seen, newest)).collect();
         let mut sources: Vec<_> = BASELINES_M

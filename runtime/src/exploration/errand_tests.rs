@@ -6,7 +6,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::{ExplorationConfig, Explorer, Observations, PolicyKind};
 use crate::event::{DropReason, Event, GoalReason};
-use crate::mapping::{MapConfig, OccupancyGrid};
+use crate::mapping::{MapConfig, OccupancyGrid, Sweep};
 use crate::planning::{FollowerConfig, PlanConfig, Primitive};
 use crate::snapshot::State;
 use crate::task::{AreaChange, HOLD_NS, Task};
@@ -23,7 +23,7 @@ fn hall() -> OccupancyGrid {
             let ranges = vec![Range::Hit(1.5); geometry.beams];
             let scan = LaserScan { time_ns: 0, geometry, ranges };
             map.begin_update(&pose).unwrap();
-            map.integrate_scan(&scan, &pose).unwrap();
+            map.integrate_scan(&scan, &Sweep::at_rest(pose)).unwrap();
             map.finish_update();
         }
     }

@@ -541,7 +541,7 @@ remembers!(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::MapConfig;
+    use crate::mapping::{MapConfig, Sweep};
     use hal::{LaserScan, Range, ScanGeometry};
     use rand::SeedableRng;
 
@@ -555,11 +555,8 @@ mod tests {
                 Range::Hit(range_m(hal::wrap_angle(yaw_rad + geometry.angle_rad(beam))))
             });
             map.begin_update(&pose).unwrap();
-            map.integrate_scan(
-                &LaserScan { time_ns: 0, geometry, ranges: ranges.collect() },
-                &pose,
-            )
-            .unwrap();
+            let scan = LaserScan { time_ns: 0, geometry, ranges: ranges.collect() };
+            map.integrate_scan(&scan, &Sweep::at_rest(pose)).unwrap();
             map.finish_update();
         }
     }

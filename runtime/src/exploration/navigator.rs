@@ -221,7 +221,7 @@ remembers!(Navigator: costmap);
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::MapConfig;
+    use crate::mapping::{MapConfig, Sweep};
     use crate::planning::FollowerConfig;
     use hal::{LaserScan, Range, ScanGeometry};
 
@@ -249,7 +249,8 @@ mod tests {
                 .map(|bearing_rad| Range::Hit(pillar_range_m(bearing_rad, pillar_m)))
                 .collect();
             map.begin_update(&pose).unwrap();
-            map.integrate_scan(&LaserScan { time_ns: 0, geometry, ranges }, &pose).unwrap();
+            map.integrate_scan(&LaserScan { time_ns: 0, geometry, ranges }, &Sweep::at_rest(pose))
+                .unwrap();
             map.finish_update();
         }
         map

@@ -34,7 +34,7 @@ fn unseen_along_m2(map: &OccupancyGrid, [x_m, y_m]: [f64; 2], bearing_rad: f64) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::MapConfig;
+    use crate::mapping::{MapConfig, Sweep};
     use core::f64::consts::PI;
     use hal::{LaserScan, Pose2, Range, ScanGeometry};
 
@@ -49,7 +49,8 @@ mod tests {
             let pose = Pose2::new(0.0, 0.0, yaw_rad);
             let ranges = vec![Range::Hit(radius_m); geometry.beams];
             map.begin_update(&pose).unwrap();
-            map.integrate_scan(&LaserScan { time_ns: 0, geometry, ranges }, &pose).unwrap();
+            map.integrate_scan(&LaserScan { time_ns: 0, geometry, ranges }, &Sweep::at_rest(pose))
+                .unwrap();
             map.finish_update();
         }
         map

@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use hal::{LaserScan, Pose2, ScanGeometry, wrap_angle};
+use hal::{LaserScan, Pose2, ScanGeometry, Twist2, wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -219,6 +219,11 @@ impl LocalTracker {
             y_mps: motion.y_m / seconds,
             yaw_radps: motion.yaw_rad / seconds,
         };
+    }
+
+    /// The velocity without its part to the side, which wheels do not have.
+    pub(crate) fn twist(&self) -> Twist2 {
+        Twist2 { linear_mps: self.velocity.x_mps, angular_radps: self.velocity.yaw_radps }
     }
 
     /// Corrects the pose, which was predicted for the middle of the scan, by the scan.

@@ -4,8 +4,6 @@
 //! beams and one with 180 give the same kind of data: a point, the direction of the surface there, and how exactly both are
 //! known. Motion during the sweep is taken out with the predicted velocity.
 
-use std::f64::consts::TAU;
-
 use hal::{LaserScan, Pose2, ScanGeometry};
 use serde::{Deserialize, Serialize};
 
@@ -162,15 +160,13 @@ impl ScanPoints {
 
     fn collect_hits(&mut self, scan: &LaserScan, velocity: &Velocity) {
         let Pose2 { x_m, y_m, .. } = self.t_base_laser;
-        let revolution_s = self.geometry.period_ns as f64 * 1e-9;
         self.hits.clear();
         for (beam, (range, [cos, sin])) in scan.ranges.iter().zip(&self.directions).enumerate() {
             let Some(range_m) = range.hit_m().map(f64::from) else { continue };
             if !(range_m > 0.0 && range_m <= self.range_limit_m) {
                 continue;
             }
-            // One revolution takes the period, and the beam straight ahead is measured halfway through it.
-            let after_s = self.geometry.angle_rad(beam) / TAU * revolution_s;
+            let after_s = scan.geometry.after_middle_s(beam);
             let x = x_m + cos * range_m;
             let y = y_m + sin * range_m;
             // The robot rotates by some hundredths of a radian during half a sweep.

@@ -124,8 +124,7 @@ impl TestRobot {
         let mut scan = LaserScan::empty(geometry);
         scan.time_ns = self.time_ns - geometry.period_ns / 2;
         for beam in 0..geometry.beams {
-            let share = geometry.angle_rad(beam) / std::f64::consts::TAU;
-            let after = share * geometry.period_ns as f64 / STEP_NS as f64;
+            let after = geometry.after_middle_s(beam) * 1e9 / STEP_NS as f64;
             let moved = Pose2::new(self.motion.x_m * after, 0.0, self.motion.yaw_rad * after);
             let pose = self.truth.compose(&moved).compose(&self.t_base_laser);
             let exact =

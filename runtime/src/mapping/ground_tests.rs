@@ -216,7 +216,7 @@ fn rays_and_scans_that_pass_above_stairs_leave_them_occupied() {
     let depth = depth_of(Some(&STAIRS), &camera_pose);
     for _ in 0..50 {
         grid.begin_update(&robot).unwrap();
-        grid.integrate_scan(&scan, &robot).unwrap();
+        grid.integrate_scan(&scan, &Sweep::at_rest(robot)).unwrap();
         grid.integrate_depth(&depth, &camera(), &camera_pose, &Surfaces::default()).unwrap();
         grid.finish_update();
     }
@@ -232,7 +232,7 @@ fn stairs_are_occupied_although_scans_had_cleared_the_space_above_them() {
     let scan = LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(6.0); geometry.beams] };
     for _ in 0..100 {
         grid.begin_update(&Pose2::new(1.8, 0.0, 0.0)).unwrap();
-        grid.integrate_scan(&scan, &Pose2::new(1.8, 0.0, 0.0)).unwrap();
+        grid.integrate_scan(&scan, &Sweep::at_rest(Pose2::new(1.8, 0.0, 0.0))).unwrap();
         grid.finish_update();
     }
     assert_eq!(grid.state_at(3.2, 0.0), CellState::Free);

@@ -24,6 +24,7 @@ mod scan;
 mod surfaces;
 #[cfg(test)]
 mod surfaces_tests;
+mod sweep;
 #[cfg(test)]
 mod tests;
 mod window;
@@ -39,4 +40,5 @@ pub use recompose::{Corrections, Recomposed, Recomposition};
 #[cfg(test)]
 pub(crate) use scan::cells_on_line;
 pub use surfaces::Surfaces;
+pub use sweep::Sweep;
 pub use window::CellBox;

@@ -3,7 +3,7 @@
 use hal::{LaserScan, Pose2, Range};
 
 use super::grid::check_pose2;
-use super::{Cell, LidarUse, MapError, OccupancyGrid};
+use super::{Cell, LidarUse, MapError, OccupancyGrid, Sweep};
 
 impl OccupancyGrid {
     /// Integrates a scan: hits within the range limit mark their cells as occupied, and the cells
@@ -15,12 +15,8 @@ impl OccupancyGrid {
     /// # Errors
     /// If the pose is not finite or out of reach, or the number of ranges differs from the number
     /// of beams.
-    pub fn integrate_scan(
-        &mut self,
-        scan: &LaserScan,
-        t_odom_laser: &Pose2,
-    ) -> Result<(), MapError> {
-        check_pose2("t_odom_laser", t_odom_laser)?;
+    pub fn integrate_scan(&mut self, scan: &LaserScan, sweep: &Sweep) -> Result<(), MapError> {
+        check_pose2("t_map_laser", &sweep.t_map_laser)?;
         let beams = scan.geometry.beams;
         if scan.ranges.len() != beams {
             return Err(MapError::ScanShape { ranges: scan.ranges.len(), beams });
@@ -28,17 +24,20 @@ impl OccupancyGrid {
         if self.config.lidar == LidarUse::Off {
             return Ok(());
         }
-        self.mark_hits(scan, t_odom_laser);
+        self.mark_hits(scan, sweep);
         if self.config.lidar == LidarUse::HitsAndFree {
-            self.clear_to_hits(scan, t_odom_laser);
+            self.clear_to_hits(scan, sweep);
         }
         Ok(())
     }
 
-    fn mark_hits(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) {
-        for (angle_rad, range_m) in scan.hits() {
+    fn mark_hits(&mut self, scan: &LaserScan, sweep: &Sweep) {
+        for (beam, range) in scan.ranges.iter().enumerate() {
+            let Some(range_m) = range.hit_m() else { continue };
             if range_m > 0.0 && range_m <= self.config.lidar_range_m {
-                let [x_m, y_m] = end_of(t_odom_laser, angle_rad, f64::from(range_m));
+                let t_map_laser = sweep.at(scan.geometry.after_middle_s(beam));
+                let angle_rad = scan.geometry.angle_rad(beam);
+                let [x_m, y_m] = end_of(&t_map_laser, angle_rad, f64::from(range_m));
                 let cell = self.cell_at(x_m, y_m);
                 if let Some(index) = self.index(cell) {
                     self.add_evidence(cell, index, self.config.occupied_increment);
@@ -50,7 +49,7 @@ impl OccupancyGrid {
     /// Clears one line of cells for every group of neighbouring beams that are closer together than
     /// cells are. A line ends before the shortest range of its group, and is left out if one of the
     /// beams is not a hit.
-    fn clear_to_hits(&mut self, scan: &LaserScan, t_odom_laser: &Pose2) {
+    fn clear_to_hits(&mut self, scan: &LaserScan, sweep: &Sweep) {
         let limit_m = self.config.lidar_range_m;
         let cell_m = self.config.cell_m;
         let spacing_m = f64::from(limit_m) * scan.geometry.angle_increment_rad.abs();
@@ -61,8 +60,10 @@ impl OccupancyGrid {
             if reach_m > 0.0 {
                 let angle_rad = scan.geometry.angle_rad(first)
                     + scan.geometry.angle_increment_rad * (beams.len() - 1) as f64 / 2.0;
-                let end_m = end_of(t_odom_laser, angle_rad, reach_m);
-                self.clear_line([t_odom_laser.x_m, t_odom_laser.y_m], end_m);
+                let middle = first + (beams.len() - 1) / 2;
+                let t_map_laser = sweep.at(scan.geometry.after_middle_s(middle));
+                let end_m = end_of(&t_map_laser, angle_rad, reach_m);
+                self.clear_line([t_map_laser.x_m, t_map_laser.y_m], end_m);
             }
         }
     }
@@ -161,7 +162,7 @@ mod tests {
 
     fn update(grid: &mut OccupancyGrid, scan: &LaserScan, laser: &Pose2) {
         grid.begin_update(laser).unwrap();
-        grid.integrate_scan(scan, laser).unwrap();
+        grid.integrate_scan(scan, &Sweep::at_rest(*laser)).unwrap();
         grid.finish_update();
     }
 
@@ -203,6 +204,43 @@ mod tests {
         let one_by_one: Vec<CellState> = cells.map(|cell| grid.state(cell)).collect();
         assert_eq!(grid.known_states(), one_by_one);
         assert!(one_by_one.contains(&CellState::Occupied));
+    }
+
+    #[test]
+    fn a_wall_is_straight_although_the_robot_rotates_during_the_scan() {
+        let geometry = ScanGeometry {
+            angle_min_rad: -std::f64::consts::PI,
+            angle_increment_rad: std::f64::consts::TAU / 400.0,
+            beams: 400,
+            period_ns: 100_000_000,
+            clockwise: true,
+            ..ScanGeometry::UTM_30LX
+        };
+        let twist = hal::Twist2 { linear_mps: 0.0, angular_radps: 1.0 };
+        // The wall x = -1.015, in the middle of a column of cells, behind the robot.
+        let ranges = (0..geometry.beams).map(|beam| {
+            let bearing_rad = geometry.angle_rad(beam) + geometry.after_middle_s(beam);
+            let range_m = -1.015 / bearing_rad.cos();
+            if range_m > 0.0 { Range::Hit(range_m as f32) } else { Range::NoReturn }
+        });
+        let scan = LaserScan { time_ns: 0, geometry, ranges: ranges.collect() };
+        let occupied = |sweep: &Sweep| -> Vec<i32> {
+            let mut grid = grid(LidarUse::Hits);
+            grid.begin_update(&Pose2::IDENTITY).unwrap();
+            grid.integrate_scan(&scan, sweep).unwrap();
+            grid.finish_update();
+            let mut columns: Vec<i32> = grid.known_cells().map(|(cell, _)| cell.x).collect();
+            columns.sort_unstable();
+            columns.dedup();
+            columns
+        };
+        let wall = Cell::containing(-1.015, 0.0, 0.03).x;
+        assert_eq!(occupied(&Sweep::new(&Pose2::IDENTITY, &Pose2::IDENTITY, &twist)), [wall]);
+        assert_eq!(
+            occupied(&Sweep::at_rest(Pose2::IDENTITY)),
+            [wall - 2, wall - 1, wall],
+            "it is bent"
+        );
     }
 
     #[test]
@@ -259,10 +297,11 @@ mod tests {
         let mut grid = grid(LidarUse::HitsAndFree);
         let mut short = scan(|_| Range::Hit(1.0));
         short.ranges.pop();
-        let refused = grid.integrate_scan(&short, &Pose2::IDENTITY);
+        let refused = grid.integrate_scan(&short, &Sweep::at_rest(Pose2::IDENTITY));
         assert_eq!(refused, Err(MapError::ScanShape { ranges: 1080, beams: 1081 }));
         let nan = Pose2 { x_m: f64::NAN, ..Pose2::IDENTITY };
-        assert!(grid.integrate_scan(&scan(|_| Range::Hit(1.0)), &nan).is_err());
+        let hits = scan(|_| Range::Hit(1.0));
+        assert!(grid.integrate_scan(&hits, &Sweep::at_rest(nan)).is_err());
     }
 
     proptest! {

@@ -1,14 +1,15 @@
 //! The metric depth that the safety LiDAR measures in a camera frame: along one line, about one
 //! pixel in each column.
 
-use hal::{CameraModel, LaserScan, Pose3};
+use hal::{CameraModel, LaserScan, Pose2, Pose3, WheelFeedback};
 use nalgebra::Point3;
 
 use crate::tick::TickInput;
 
-/// Largest time difference between a scan and a frame. At 40 degrees per second the robot rotates 2
-/// degrees meanwhile, which moves returns to other columns.
-const MAX_TIME_DIFFERENCE_NS: u64 = 50_000_000;
+/// Largest time between the middle of a scan and a frame: two revolutions, because the newest whole scan of a scanner of 10
+/// revolutions a second has its middle up to 150 ms before a frame; and at least this. The robot's own motion is taken out. A
+/// person who walks at 1 m/s moves 0.2 m in two such revolutions, 10 % at 2 m.
+const MIN_TIME_DIFFERENCE_NS: u64 = 50_000_000;
 /// Depths within this factor of the LiDAR's depth are right (Eigen et al. 2014).
 const DELTA1: f32 = 1.25;
 /// Returns closer to the camera than this are ignored, metres: no object is that close.
@@ -38,8 +39,8 @@ impl LidarPixel {
 #[derive(Debug, Clone, Copy)]
 pub struct LidarView {
     pub camera: CameraModel,
-    /// Maps points of `laser` into `camera_optical`.
-    pub t_camera_laser: Pose3,
+    pub t_base_camera: Pose3,
+    pub t_base_laser: Pose3,
 }
 
 impl LidarView {
@@ -49,28 +50,43 @@ impl LidarView {
     pub fn of_tick(&self, input: &TickInput<'_>) -> Vec<LidarPixel> {
         let scan = input.scan.filter(|_| input.frame.is_some());
         // The wheel feedback has the time of the frame; the time of the tick itself is later.
-        scan.map_or_else(Vec::new, |scan| self.at(scan, input.wheel.time_ns))
+        scan.map_or_else(Vec::new, |scan| self.at(scan, &input.scan_odom, &input.wheel))
     }
 
-    /// The LiDAR pixels of a frame that was taken at `frame_ns`; none if the time of the scan
-    /// differs too much.
+    /// The LiDAR pixels of a frame that was taken at the time of `wheel`; none if the time of the scan
+    /// differs too much. `scan_odom` is the wheels' pose at the middle of the scan.
     #[must_use]
-    pub fn at(&self, scan: &LaserScan, frame_ns: u64) -> Vec<LidarPixel> {
-        if scan.time_ns.abs_diff(frame_ns) > MAX_TIME_DIFFERENCE_NS {
+    pub fn at(
+        &self,
+        scan: &LaserScan,
+        scan_odom: &Pose2,
+        wheel: &WheelFeedback,
+    ) -> Vec<LidarPixel> {
+        let longest_ns = MIN_TIME_DIFFERENCE_NS.max(2 * scan.geometry.period_ns);
+        if scan.middle_ns().abs_diff(wheel.time_ns) > longest_ns {
             return Vec::new();
         }
-        project_hits(scan, &self.camera, &self.t_camera_laser)
+        let t_frame_scan = wheel.odom.inverse().compose(scan_odom);
+        let t_camera_base = self.t_base_camera.inverse();
+        let points = scan.ranges.iter().enumerate().filter_map(|(beam, range)| {
+            let range_m = f64::from(range.hit_m()?);
+            let (sin, cos) = scan.geometry.angle_rad(beam).sin_cos();
+            let point = self.t_base_laser * Point3::new(range_m * cos, range_m * sin, 0.0);
+            // Where the robot was when it measured this beam, seen from where it took the frame.
+            let after_s = scan.geometry.after_middle_s(beam);
+            let base = t_frame_scan.compose(&wheel.twist.integrate(after_s));
+            let (x_m, y_m) = base.transform(point.x, point.y);
+            Some(t_camera_base * Point3::new(x_m, y_m, point.z))
+        });
+        project(points, &self.camera)
     }
 }
 
-/// The hits of a scan that lie in the image, from left to right. `t_camera_laser` maps points of
-/// `laser` into `camera_optical`. Of several hits in one column the nearest is used, because the
-/// others may be hidden behind it. Lens distortion is ignored, because frames are rectified before.
-fn project_hits(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) -> Vec<LidarPixel> {
+/// The points, in `camera_optical`, that lie in the image, from left to right. Of several in one column the nearest is used,
+/// because the others may be hidden behind it. Lens distortion is ignored, because frames are rectified before.
+fn project(points: impl Iterator<Item = Point3<f64>>, camera: &CameraModel) -> Vec<LidarPixel> {
     let mut nearest: Vec<Option<LidarPixel>> = vec![None; camera.width];
-    for (angle, range_m) in scan.hits() {
-        let range_m = f64::from(range_m);
-        let point = t_camera_laser * Point3::new(range_m * angle.cos(), range_m * angle.sin(), 0.0);
+    for point in points {
         let pixel = camera.project(&point).filter(|_| point.z > NEAREST_M);
         let Some((u, v)) = pixel.map(|(u, v)| (u.round(), v.round())) else { continue };
         // NaN fails these comparisons.
@@ -92,7 +108,7 @@ fn project_hits(scan: &LaserScan, camera: &CameraModel, t_camera_laser: &Pose3) 
 mod tests {
     use super::*;
     use crate::tick::SafetyReport;
-    use hal::{ImageView, Range, ScanGeometry, WheelFeedback, camera_mount};
+    use hal::{ImageView, Range, ScanGeometry, Twist2, camera_mount};
 
     fn scan_of(range: impl Fn(f64) -> Range) -> LaserScan {
         let geometry = ScanGeometry::UTM_30LX;
@@ -101,20 +117,28 @@ mod tests {
         scan
     }
 
-    fn mounts() -> (CameraModel, Pose3) {
-        let camera = CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2);
-        (camera, camera_mount(0.0, 0.8, 0.0).inverse() * Pose3::translation(0.05, 0.0, 0.18))
+    fn view() -> LidarView {
+        LidarView {
+            camera: CameraModel::pinhole(640, 192, std::f64::consts::FRAC_PI_2),
+            t_base_camera: camera_mount(0.0, 0.8, 0.0),
+            t_base_laser: Pose3::translation(0.05, 0.0, 0.18),
+        }
+    }
+
+    /// The pixels of a scan whose middle is the time of the frame, of a robot that stands.
+    fn project_hits(scan: &LaserScan) -> Vec<LidarPixel> {
+        let wheel = WheelFeedback { time_ns: scan.middle_ns(), ..WheelFeedback::default() };
+        view().at(scan, &wheel.odom, &wheel)
     }
 
     #[test]
     fn a_wall_ahead_gives_one_row_of_equal_depths() {
-        let (camera, t_camera_laser) = mounts();
         // The wall is 3 m ahead of the camera, 2.95 m ahead of the scanner.
         let wall = scan_of(|angle| match angle.cos() {
             cos if cos > 0.05 => Range::Hit((2.95 / cos) as f32),
             _ => Range::NoReturn,
         });
-        let line = project_hits(&wall, &camera, &t_camera_laser);
+        let line = project_hits(&wall);
         assert!(line.len() > 300, "{}", line.len());
         // The scanner's plane is 0.62 m below the camera; at 3 m this is 320 * 0.62 / 3 rows below
         // the image centre.
@@ -127,26 +151,20 @@ mod tests {
 
     #[test]
     fn beams_without_a_hit_give_no_depth() {
-        let (camera, t_camera_laser) = mounts();
         for range in [Range::NoReturn, Range::TooNear, Range::Error, Range::Hit(f32::NAN)] {
-            assert!(
-                project_hits(&scan_of(|_| range), &camera, &t_camera_laser).is_empty(),
-                "{range:?}"
-            );
+            assert!(project_hits(&scan_of(|_| range)).is_empty(), "{range:?}");
         }
     }
 
     #[test]
     fn hits_behind_the_robot_are_not_in_the_image() {
-        let (camera, t_camera_laser) = mounts();
         let behind =
             scan_of(|angle| if angle.abs() > 1.7 { Range::Hit(3.0) } else { Range::NoReturn });
-        assert!(project_hits(&behind, &camera, &t_camera_laser).is_empty());
+        assert!(project_hits(&behind).is_empty());
     }
 
     #[test]
     fn of_two_hits_in_a_column_the_nearer_one_is_used() {
-        let (camera, t_camera_laser) = mounts();
         let mut nearer = true;
         let both = scan_of(|_| Range::Hit(4.0));
         let mut mixed = both.clone();
@@ -154,8 +172,8 @@ mod tests {
             nearer = !nearer;
             *range = Range::Hit(if nearer { 3.0 } else { 4.0 });
         }
-        let far = project_hits(&both, &camera, &t_camera_laser);
-        let mixed = project_hits(&mixed, &camera, &t_camera_laser);
+        let far = project_hits(&both);
+        let mixed = project_hits(&mixed);
         assert!(
             mixed.iter().all(|point| point.depth_m < 4.06)
                 && far.iter().any(|point| point.depth_m > 3.9)
@@ -166,14 +184,44 @@ mod tests {
 
     #[test]
     fn the_time_of_a_scan_is_compared_with_that_of_the_frame_and_not_of_the_tick() {
-        let (camera, t_camera_laser) = mounts();
-        let view = LidarView { camera, t_camera_laser };
-        assert!(points(&view, 950, true) > 300 && points(&view, 1050, true) > 300);
+        let view = view();
+        // The middle of a scan is 12.5 ms after its beginning.
+        assert!(points(&view, 938, true) > 300 && points(&view, 1037, true) > 300);
         // The first scan has the time of the tick, but not that of the frame.
         assert_eq!(
-            (points(&view, 1180, true), points(&view, 949, true), points(&view, 1000, false)),
+            (points(&view, 1180, true), points(&view, 937, true), points(&view, 1000, false)),
             (0, 0, 0)
         );
+    }
+
+    /// The newest scan of an LD06 is 120 ms old, and the robot rotates by .12 rad until the frame is taken.
+    #[test]
+    fn a_wall_is_where_it_is_in_the_frame_although_a_slow_scanner_saw_it_before() {
+        let geometry = ScanGeometry {
+            angle_min_rad: -std::f64::consts::PI,
+            angle_increment_rad: std::f64::consts::TAU / 400.0,
+            beams: 400,
+            period_ns: 100_000_000,
+            clockwise: true,
+            ..ScanGeometry::UTM_30LX
+        };
+        let twist = Twist2 { linear_mps: 0.0, angular_radps: 1.0 };
+        let scan_odom = Pose2::new(0.0, 0.0, -0.12);
+        // A wall 3 m ahead of the robot in the frame.
+        let ranges = (0..geometry.beams).map(|beam| {
+            let yaw_rad = -0.12 + geometry.after_middle_s(beam);
+            let towards_wall = (yaw_rad + geometry.angle_rad(beam)).cos();
+            let range_m = (3.0 - 0.05 * yaw_rad.cos()) / towards_wall;
+            if towards_wall > 0.1 { Range::Hit(range_m as f32) } else { Range::NoReturn }
+        });
+        let scan = LaserScan { time_ns: 1_000_000_000, geometry, ranges: ranges.collect() };
+        let frame_ns = scan.middle_ns() + 120_000_000;
+        let wheel = WheelFeedback { time_ns: frame_ns, twist, ..WheelFeedback::default() };
+        let line = view().at(&scan, &scan_odom, &wheel);
+        assert!(line.len() > 90, "{}", line.len());
+        assert!(line.iter().all(|point| (point.depth_m - 3.0).abs() < 0.002), "{line:?}");
+        let late = WheelFeedback { time_ns: frame_ns + 81_000_000, ..wheel };
+        assert!(view().at(&scan, &scan_odom, &late).is_empty(), "more than two revolutions");
     }
 
     fn points(view: &LidarView, scan_ms: u64, with_frame: bool) -> usize {

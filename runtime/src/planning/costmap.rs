@@ -442,7 +442,7 @@ fn reach_of(table: &[u16]) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::MapConfig;
+    use crate::mapping::{MapConfig, Sweep};
     use crate::planning::{NoPath, Planner};
     use hal::{LaserScan, Pose2, Range, ScanGeometry};
 
@@ -453,7 +453,7 @@ mod tests {
         let scan =
             LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(1.5); geometry.beams] };
         grid.begin_update(&Pose2::IDENTITY).unwrap();
-        grid.integrate_scan(&scan, &Pose2::IDENTITY).unwrap();
+        grid.integrate_scan(&scan, &Sweep::at_rest(Pose2::IDENTITY)).unwrap();
         grid.finish_update();
         grid
     }
@@ -536,7 +536,7 @@ mod tests {
             LaserScan { time_ns: 0, geometry, ranges: vec![Range::Hit(1.5); geometry.beams] };
         for _ in 0..10 {
             grid.begin_update(&Pose2::IDENTITY).unwrap();
-            grid.integrate_scan(&scan, &Pose2::IDENTITY).unwrap();
+            grid.integrate_scan(&scan, &Sweep::at_rest(Pose2::IDENTITY)).unwrap();
             grid.finish_update();
         }
         costmap.update_with_doubt(&grid, 5.0);

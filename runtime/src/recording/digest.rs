@@ -157,6 +157,10 @@ fn hash_scan(hasher: &mut Hasher, scan: &LaserScan) {
     hasher.update(&geometry.range_min_m.to_bits().to_le_bytes());
     hasher.update(&geometry.range_max_m.to_bits().to_le_bytes());
     hasher.update(&geometry.period_ns.to_le_bytes());
+    // Digests of recordings that are older than this property stay as they are.
+    if geometry.clockwise {
+        hasher.update(&[1]);
+    }
     hasher.update(&(scan.ranges.len() as u64).to_le_bytes());
     for range in &scan.ranges {
         let (tag, bits) = match range {

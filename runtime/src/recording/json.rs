@@ -174,6 +174,8 @@ pub(super) struct ScanJson {
     range_min_m: Exact,
     range_max_m: Exact,
     period_ns: u64,
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    clockwise: bool,
 }
 
 impl ScanJson {
@@ -186,6 +188,7 @@ impl ScanJson {
             range_min_m: Exact(f64::from(geometry.range_min_m)),
             range_max_m: Exact(f64::from(geometry.range_max_m)),
             period_ns: geometry.period_ns,
+            clockwise: geometry.clockwise,
         }
     }
 
@@ -197,6 +200,7 @@ impl ScanJson {
             range_min_m: self.range_min_m.0 as f32,
             range_max_m: self.range_max_m.0 as f32,
             period_ns: self.period_ns,
+            clockwise: self.clockwise,
         }
     }
 }

@@ -219,7 +219,15 @@ fn finite() -> impl Strategy<Value = f64> {
 }
 
 fn any_scan() -> impl Strategy<Value = LaserScan> {
-    let geometry = (any_f64(), any_f64(), 0usize..2000, any::<f32>(), any::<f32>(), any::<u64>());
+    let geometry = (
+        any_f64(),
+        any_f64(),
+        0usize..2000,
+        any::<f32>(),
+        any::<f32>(),
+        any::<u64>(),
+        any::<bool>(),
+    );
     (any::<u64>(), geometry, prop::collection::vec(any_range(), 0..20)).prop_map(
         |(time_ns, g, ranges)| LaserScan {
             time_ns,
@@ -230,6 +238,7 @@ fn any_scan() -> impl Strategy<Value = LaserScan> {
                 range_min_m: g.3,
                 range_max_m: g.4,
                 period_ns: g.5,
+                clockwise: g.6,
             },
             ranges,
         },

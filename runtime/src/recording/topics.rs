@@ -105,7 +105,7 @@ const TICK: &str = r#"{"title":"robot.Tick","type":"object","properties":{
 "contact":{"type":"boolean"},"cliff":{"type":"boolean"}}},
 "scan":{"type":"object","properties":{"time_ns":{"type":"integer"},"angle_min_rad":{"type":"number"},
 "angle_increment_rad":{"type":"number"},"beams":{"type":"integer"},"range_min_m":{"type":"number"},
-"range_max_m":{"type":"number"},"period_ns":{"type":"integer"}}},
+"range_max_m":{"type":"number"},"period_ns":{"type":"integer"},"clockwise":{"type":"boolean"}}},
 "frame":{"type":"boolean"},"truth":{"type":"boolean"},"decision":{"type":"boolean"},"snapshot":{"type":"boolean"},
 "safety":{"type":"object","properties":{"in_charge":{"type":"boolean"},
 "blocked_m":{"type":"array","items":{"type":"number"}},"unseen_m":{"type":"array","items":{"type":"number"}},"events":{"type":"array","items":{}},

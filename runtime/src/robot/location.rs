@@ -1,6 +1,6 @@
 //! Where the robot is during a tick, from wheels and scans.
 
-use hal::{LaserScan, Pose2, ScanGeometry};
+use hal::{LaserScan, Pose2, ScanGeometry, Twist2, WheelFeedback};
 use serde::{Deserialize, Serialize};
 
 use crate::localization::{
@@ -49,6 +49,8 @@ impl TickPoses {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Located {
     pub poses: TickPoses,
+    /// Velocity since the tick before, by wheels and gyroscope; with wheels alone that which they report.
+    pub twist: Twist2,
     /// Whether `t_map_odom` is known.
     pub whereabouts: Whereabouts,
     pub wheel_error: Option<WheelError>,
@@ -59,15 +61,16 @@ pub(super) struct Located {
 }
 
 impl Located {
-    fn by_wheels(wheel: Pose2, at_scan: Pose2) -> Self {
+    fn by_wheels(wheel: &WheelFeedback, at_scan: Pose2) -> Self {
         let poses = TickPoses {
-            t_odom_base: wheel,
-            t_odom_base_at_frame: wheel,
+            t_odom_base: wheel.odom,
+            t_odom_base_at_frame: wheel.odom,
             t_map_odom: Pose2::IDENTITY,
             t_odom_base_at_scan: at_scan,
         };
         Self {
             poses,
+            twist: wheel.twist,
             whereabouts: Whereabouts::Localized,
             wheel_error: None,
             gyro_refused: false,
@@ -103,7 +106,7 @@ impl Location {
     pub(super) fn update(&mut self, input: &TickInput<'_>, scan: Option<&LaserScan>) -> Located {
         let wheel = input.wheel.odom;
         if self.config.source == PoseSource::Wheels {
-            return Located::by_wheels(wheel, input.scan_odom);
+            return Located::by_wheels(&input.wheel, input.scan_odom);
         }
         if self.localizer.is_none()
             && let Some(scan) = scan
@@ -111,13 +114,14 @@ impl Location {
             self.start(&scan.geometry, wheel);
         }
         let Some(localizer) = &mut self.localizer else {
-            return Located::by_wheels(wheel, wheel);
+            return Located::by_wheels(&input.wheel, wheel);
         };
         let scan = scan.map(|scan| (scan, &input.scan_odom));
         let imu = input.imu.as_ref();
         let estimate = localizer.update_with_imu(&wheel, input.wheel.time_ns, scan, imu);
         Located {
             poses: self.poses(&estimate),
+            twist: estimate.twist,
             whereabouts: estimate.whereabouts,
             wheel_error: estimate.wheel_error,
             gyro_refused: estimate.gyro_refused,
@@ -229,6 +233,7 @@ impl From<&ScanGeometry> for Geometry {
     }
 }
 
+/// Which way the scanner rotates is not among it: every scan says so.
 impl From<Geometry> for ScanGeometry {
     fn from(geometry: Geometry) -> Self {
         Self {
@@ -238,6 +243,7 @@ impl From<Geometry> for ScanGeometry {
             range_min_m: geometry.range_min_m,
             range_max_m: geometry.range_max_m,
             period_ns: geometry.period_ns,
+            clockwise: false,
         }
     }
 }

@@ -28,7 +28,7 @@ use crate::calibration_watch::CalibrationWatch;
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{Explorer, Observations};
 use crate::localization::{Gyroscope, LocalizationError, Whereabouts};
-use crate::mapping::{MapError, OccupancyGrid, SingleFrameMap, Surfaces};
+use crate::mapping::{MapError, OccupancyGrid, SingleFrameMap, Surfaces, Sweep};
 use crate::perception::{
     CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, Moment, NoDepth,
     PerceptionError, map_depth,
@@ -361,7 +361,7 @@ impl Robot {
         self.tilt.observe(tilt_rad, input.time_ns, most_deg, &mut events);
         // The scan of a tilted robot shows floor and ceiling as walls.
         let scan = scan.filter(|_| !self.tilt.is_tilted());
-        self.localize(input, scan, &mut events);
+        let twist = self.localize(input, scan, &mut events);
         self.note_blocked(input);
         let t_odom_camera = self.poses.t_odom_base_at_frame.to_pose3() * self.config.t_base_camera;
         if let Some(scan) = scan {
@@ -374,7 +374,7 @@ impl Robot {
         let depth_digest = self.mapped_depth().map_or(0, digest_of);
         let is_mapped = self.is_mapping();
         if is_mapped {
-            self.update_map(scan);
+            self.update_map(scan, &twist);
         }
         timer.ended(Stage::Map);
         let desired = self.desired(input, &mut events);
@@ -597,7 +597,7 @@ impl Robot {
         self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
     }
 
-    fn update_map(&mut self, scan: Option<&LaserScan>) {
+    fn update_map(&mut self, scan: Option<&LaserScan>, twist: &Twist2) {
         let t_map_base = self.poses.t_map_base();
         let t_map_camera = self.poses.t_map_base_at_frame().to_pose3() * self.config.t_base_camera;
         // Poses were checked in `refusal`, shapes in `tick`: an error here means that the map stays as it was in this tick.
@@ -629,7 +629,8 @@ impl Robot {
             remember_frame_map(&mut self.frame_maps, newest, gap);
         }
         if let Some(scan) = scan {
-            let _ = self.map.integrate_scan(scan, &t_map_laser);
+            let sweep = Sweep::new(&t_map_scan, &self.config.t_base_laser, twist);
+            let _ = self.map.integrate_scan(scan, &sweep);
         }
         if let Some(place_m) = self.unseen_at.take() {
             let (facing, ahead_m) = facing(&t_map_base, place_m);
@@ -702,12 +703,13 @@ impl Robot {
             .map(|step| step / self.config.tick_s)
     }
 
+    /// Returns the velocity since the tick before.
     fn localize(
         &mut self,
         input: &TickInput<'_>,
         scan: Option<&LaserScan>,
         events: &mut Vec<Event>,
-    ) {
+    ) -> Twist2 {
         let before = self.poses.t_map_base();
         let corrected = self.outside.apply(input, events);
         let located = self.location.update(&self.wheel_frame.apply(&corrected), scan);
@@ -740,6 +742,7 @@ impl Robot {
             self.dense.correct(moved.corrections());
         }
         self.poses.t_map_odom = self.map_correction.t_map_odom();
+        located.twist
     }
 
     /// Until a new command acts, the robot goes on as it does now.

@@ -53,6 +53,7 @@ const GEOMETRY: ScanGeometry = ScanGeometry {
     range_min_m: 0.1,
     range_max_m: 30.0,
     period_ns: TICK_NS,
+    clockwise: false,
 };
 
 struct Scans {

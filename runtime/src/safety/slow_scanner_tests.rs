@@ -20,6 +20,7 @@ fn geometry(period_ns: u64) -> ScanGeometry {
         range_min_m: 0.15,
         range_max_m: 12.0,
         period_ns,
+        clockwise: true,
     }
 }
 

@@ -10,6 +10,8 @@ pub const RATE_HZ: f64 = 4500.0;
 /// Confidence of an ordinary echo, and of a point without one.
 const CONFIDENCE: u8 = 200;
 const POINTS: usize = 12;
+/// Time in which the points of a packet are measured.
+const PACKET_NS: u64 = (1e9 * POINTS as f64 / RATE_HZ) as u64;
 
 /// A simulated LD06: times go in, packets come out.
 pub struct Ld06Sensor {
@@ -24,7 +26,8 @@ pub struct Ld06Sensor {
     pub missing_deg: Option<Range<f64>>,
     /// Clockwise angle of the next point, degrees.
     angle_deg: f64,
-    due_ns: u64,
+    /// Time of the first point of the next packet.
+    begin_ns: u64,
     /// Whole revolutions so far.
     turns: u64,
 }
@@ -40,7 +43,7 @@ impl Ld06Sensor {
             confidence: CONFIDENCE,
             missing_deg: None,
             angle_deg: 90.0,
-            due_ns: now_ns,
+            begin_ns: now_ns,
             turns: 0,
         }
     }
@@ -57,7 +60,8 @@ impl Ld06Sensor {
         let mut points = [(0, 0); POINTS];
         for (index, point) in points.iter_mut().enumerate() {
             let clockwise_deg = start_deg + step_deg * index as f64;
-            let range = self.source.range(self.due_ns, -clockwise_deg.to_radians());
+            let time_ns = self.begin_ns + (1e9 * index as f64 / RATE_HZ) as u64;
+            let range = self.source.range(time_ns, -clockwise_deg.to_radians());
             let distance_mm = if self.is_blind { 0 } else { packet_mm(range) };
             *point = (distance_mm, if distance_mm == 0 { 0 } else { self.confidence });
         }
@@ -67,8 +71,8 @@ impl Ld06Sensor {
             self.angle_deg -= 360.0;
             self.turns += 1;
         }
-        let milliseconds = (self.due_ns / 1_000_000 % 30_000) as u16;
-        self.due_ns += (1e9 * POINTS as f64 / RATE_HZ) as u64;
+        let milliseconds = (self.begin_ns / 1_000_000 % 30_000) as u16;
+        self.begin_ns += PACKET_NS;
         let is_missing = self.missing_deg.as_ref().is_some_and(|part| part.contains(&start_deg));
         let angles =
             [start_deg, end_deg].map(|degrees| ((degrees * 100.0).round() as u32 % 36_000) as u16);
@@ -82,13 +86,14 @@ impl Sensor for Ld06Sensor {
     fn receive(&mut self, _bytes: &[u8], _now_ns: u64, _out: &mut Vec<Vec<u8>>) {}
 
     fn update(&mut self, now_ns: u64, out: &mut Vec<Vec<u8>>) {
-        while self.due_ns <= now_ns {
+        // A packet is sent when its last point is measured.
+        while self.begin_ns + PACKET_NS <= now_ns {
             out.extend(self.next_packet());
         }
     }
 
     fn reboot(&mut self, ready_ns: u64) {
-        self.due_ns = ready_ns;
+        self.begin_ns = ready_ns;
         self.angle_deg = 90.0;
     }
 }
@@ -103,7 +108,7 @@ mod tests {
         let mut sensor = Ld06Sensor::new(Box::new(CircleRoom), 0);
         let mut out = Vec::new();
         sensor.update(999_999_999, &mut out);
-        assert_eq!((out.len(), sensor.turns()), (376, 10));
+        assert_eq!((out.len(), sensor.turns()), (375, 10));
         assert!(out.iter().all(|packet| packet.len() == 47));
     }
 }

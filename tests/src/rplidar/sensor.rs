@@ -38,7 +38,8 @@ pub struct RplidarSensor {
     motor_on: bool,
     /// Clockwise angle of the motor, degrees.
     angle_deg: f64,
-    due_ns: u64,
+    /// Time of the first measurement of the next message.
+    begin_ns: u64,
     ready_ns: u64,
     input: Vec<u8>,
     resets: u32,
@@ -49,6 +50,17 @@ enum Scan {
     Nodes { is_first: bool },
     Legacy { is_first: bool },
     Dense { is_first: bool },
+}
+
+impl Scan {
+    /// Measurements in one message.
+    fn measurements(self) -> u32 {
+        match self {
+            Self::Nodes { .. } => 1,
+            Self::Legacy { .. } => 32,
+            Self::Dense { .. } => 40,
+        }
+    }
 }
 
 impl RplidarSensor {
@@ -65,7 +77,7 @@ impl RplidarSensor {
             scan: None,
             motor_on: model == Model::A1,
             angle_deg: 30.0,
-            due_ns: now_ns,
+            begin_ns: now_ns,
             ready_ns: now_ns,
             input: Vec::new(),
             resets: 0,
@@ -121,24 +133,31 @@ impl RplidarSensor {
     fn begin(&mut self, scan: Scan, head: Vec<u8>, now_ns: u64, out: &mut Vec<Vec<u8>>) {
         if self.health != RplidarHealth::Protection {
             self.scan = Some(scan);
-            self.due_ns = now_ns;
+            self.begin_ns = now_ns;
             out.push(head);
         }
     }
 
-    fn distance_mm(&mut self, clockwise_deg: f64) -> u16 {
-        let range = self.source.range(self.due_ns, -clockwise_deg.to_radians());
+    /// What the measurement of this number in the next message sees.
+    fn distance_mm(&mut self, scan: Scan, index: u32, clockwise_deg: f64) -> u16 {
+        let time_ns = self.begin_ns + self.lasts_ns(scan, index);
+        let range = self.source.range(time_ns, -clockwise_deg.to_radians());
         if self.health == RplidarHealth::Blind { 0 } else { packet_mm(range) }
     }
 
-    /// The next message of a scan, and the number of measurements in it.
-    fn message(&mut self, scan: Scan, step_deg: f64) -> (Vec<u8>, usize) {
+    /// Time in which this number of measurements is made.
+    fn lasts_ns(&self, scan: Scan, measurements: u32) -> u64 {
+        (1e9 * f64::from(measurements) / self.rate_hz(scan)) as u64
+    }
+
+    /// The next message of a scan.
+    fn message(&mut self, scan: Scan, step_deg: f64) -> Vec<u8> {
         let start_deg = self.angle_deg;
         match scan {
             Scan::Nodes { .. } => {
                 let is_start = start_deg < step_deg;
-                let distance_mm = self.distance_mm(start_deg);
-                (node(is_start, start_deg, distance_mm), 1)
+                let distance_mm = self.distance_mm(scan, 0, start_deg);
+                node(is_start, start_deg, distance_mm)
             }
             Scan::Legacy { is_first } => {
                 // The correction is subtracted, so the measured direction lies before the motor's.
@@ -146,19 +165,21 @@ impl RplidarSensor {
                 let mut body = Vec::new();
                 for pair in 0..16 {
                     body.extend(cabin([0, 1].map(|index| {
-                        let motor_deg = start_deg + step_deg * f64::from(2 * pair + index);
-                        (self.distance_mm(motor_deg - correction_deg), CORRECTION)
+                        let index = 2 * pair + index;
+                        let motor_deg = start_deg + step_deg * f64::from(index);
+                        (self.distance_mm(scan, index, motor_deg - correction_deg), CORRECTION)
                     })));
                 }
-                (capsule(is_first, start_deg, &body), 32)
+                capsule(is_first, start_deg, &body)
             }
             Scan::Dense { is_first } => {
                 let body: Vec<u8> = (0..40)
                     .flat_map(|index| {
-                        self.distance_mm(start_deg + step_deg * f64::from(index)).to_le_bytes()
+                        let clockwise_deg = start_deg + step_deg * f64::from(index);
+                        self.distance_mm(scan, index, clockwise_deg).to_le_bytes()
                     })
                     .collect();
-                (capsule(is_first, start_deg, &body), 40)
+                capsule(is_first, start_deg, &body)
             }
         }
     }
@@ -203,17 +224,19 @@ impl Sensor for RplidarSensor {
             self.scan = None;
         }
         let Some(scan) = self.scan.filter(|_| self.motor_on) else {
-            self.due_ns = self.due_ns.max(now_ns);
+            self.begin_ns = self.begin_ns.max(now_ns);
             return;
         };
         let mut scan = scan;
-        while self.due_ns <= now_ns {
-            let rate_hz = self.rate_hz(scan);
-            let step_deg = 360.0 * self.rotation_hz / rate_hz;
+        let count = scan.measurements();
+        let lasts_ns = self.lasts_ns(scan, count);
+        // A message is sent when its last measurement is made.
+        while self.begin_ns + lasts_ns <= now_ns {
+            let step_deg = 360.0 * self.rotation_hz / self.rate_hz(scan);
             let start_deg = self.angle_deg;
-            let (message, count) = self.message(scan, step_deg);
-            self.angle_deg = (start_deg + step_deg * count as f64) % 360.0;
-            self.due_ns += (1e9 * count as f64 / rate_hz) as u64;
+            let message = self.message(scan, step_deg);
+            self.angle_deg = (start_deg + step_deg * f64::from(count)) % 360.0;
+            self.begin_ns += lasts_ns;
             if self.missing_deg.as_ref().is_none_or(|part| !part.contains(&start_deg)) {
                 out.push(message);
             }
@@ -231,7 +254,7 @@ impl Sensor for RplidarSensor {
         self.motor_on = self.model == Model::A1;
         self.input.clear();
         self.ready_ns = ready_ns;
-        self.due_ns = ready_ns;
+        self.begin_ns = ready_ns;
     }
 }
 
@@ -264,7 +287,7 @@ mod tests {
         let mut sensor = RplidarSensor::new(Model::A1, Box::new(CircleRoom), 0);
         answers(&mut sensor, &[0xa5, 0x82, 5, 0, 0, 0, 0, 0, 0x22]);
         let mut out = Vec::new();
-        sensor.update(1_000_000_000, &mut out);
+        sensor.update(1_000_000_001, &mut out);
         assert_eq!(out.len(), 125);
         assert!(out.iter().all(|message| message.len() == 84));
     }

@@ -1,10 +1,9 @@
 //! The simulated robot in its home: advances by the velocities of its simulated wheels.
 
-use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use drivers::can::{BaseConfig, Kinematics};
-use hal::{Base, Clock, DriveCommand, LaserScan, Lidar, Pose2, Twist2};
+use hal::{Base, Clock, DriveCommand, Pose2, Twist2};
 use simulator::robot::{SimBase, SimClock, SimImu, SimLidar, Truth};
 use simulator::{RobotOptions, SceneError, SimulatedRobot, World};
 
@@ -14,21 +13,12 @@ use crate::motor::MotorNode;
 
 /// Contacts within this time count as one touch: blocked wheels push repeatedly.
 const SAME_TOUCH_NS: u64 = 1_000_000_000;
-/// Length of the pose history; cameras may be at most this late.
-const HISTORY_NS: u64 = 500_000_000;
 
 /// The robot in its home, shared between its devices.
 #[derive(Clone)]
 pub struct Home {
     world: Arc<World>,
     state: Arc<Mutex<State>>,
-    /// Apart from the state, which the motors must not wait for while beams are cast.
-    scanner: Arc<Mutex<Scanner>>,
-}
-
-struct Scanner {
-    lidar: SimLidar,
-    scan: LaserScan,
 }
 
 struct State {
@@ -44,8 +34,6 @@ struct State {
     touched_ns: Option<u64>,
     touches: u64,
     path_m: f64,
-    /// Recent poses with their times.
-    history: VecDeque<(u64, Pose2)>,
     /// A push that is not over.
     push: Option<Push>,
     /// Until then the wheels have no grip on the floor.
@@ -66,8 +54,6 @@ impl Home {
         let wheels = Wheels::new(options.odometry, options.seed);
         let robot = SimulatedRobot::new(Arc::clone(&world), options)?;
         let devices = robot.devices();
-        let scan = LaserScan::empty(devices.lidar.geometry());
-        let scanner = Scanner { lidar: devices.lidar, scan };
         let state = State {
             robot,
             base: devices.base,
@@ -80,15 +66,10 @@ impl Home {
             touched_ns: None,
             touches: 0,
             path_m: 0.0,
-            history: VecDeque::new(),
             push: None,
             spins_until_ns: 0,
         };
-        Ok(Self {
-            world,
-            state: Arc::new(Mutex::new(state)),
-            scanner: Arc::new(Mutex::new(scanner)),
-        })
+        Ok(Self { world, state: Arc::new(Mutex::new(state)) })
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -119,11 +100,6 @@ impl Home {
         state.clock.sleep_until_ns(time_ns);
         state.path_m += before.distance_m(&state.truth.pose());
         state.go_on_pushing(seconds);
-        let pose = state.truth.pose();
-        state.history.push_back((time_ns, pose));
-        while state.history.front().is_some_and(|(then_ns, _)| then_ns + HISTORY_NS < time_ns) {
-            state.history.pop_front();
-        }
         let touching = state.truth.contact();
         if touching {
             let before_ns = state.touched_ns.replace(time_ns);
@@ -135,14 +111,10 @@ impl Home {
         }
     }
 
-    /// Passes the newest scan to `read`. Its noise is drawn once per scan period of the simulated
-    /// LiDAR.
-    pub fn scan(&self, read: impl FnOnce(&LaserScan)) {
-        let mut scanner = self.scanner.lock().unwrap_or_else(PoisonError::into_inner);
-        let Scanner { lidar, scan } = &mut *scanner;
-        // A simulated scanner never fails.
-        let _ = lidar.poll_scan(scan);
-        read(scan);
+    /// The robot's scanner. Its times are those of the home.
+    #[must_use]
+    pub fn lidar(&self) -> SimLidar {
+        self.state().robot.devices().lidar
     }
 
     /// The robot's inertial measurement unit. Its times are those of the home.
@@ -201,13 +173,11 @@ impl Home {
         self.state().truth.pose()
     }
 
-    /// True pose of the robot `ago_ns` earlier, at most half a second.
+    /// True pose of the robot `ago_ns` earlier, at most a second.
     #[must_use]
     pub fn pose_ago(&self, ago_ns: u64) -> Pose2 {
         let state = self.state();
-        let then_ns = state.history.back().map_or(0, |(now_ns, _)| now_ns.saturating_sub(ago_ns));
-        let then = state.history.iter().find(|(time_ns, _)| *time_ns >= then_ns);
-        then.map_or_else(|| state.truth.pose(), |(_, pose)| *pose)
+        state.truth.pose_at(state.clock.now_ns().saturating_sub(ago_ns))
     }
 
     /// Number of touches, and driven distance in metres.

@@ -123,11 +123,14 @@ impl LiveWorld {
             ..rig::config(options.protocol)
         };
         let home = Home::new(world, robot, &base)?;
+        let start_ns = monotonic_ns();
         let mut live = Self {
             lidar: match lidar_at {
-                Some(cable) => SimulatedScanner::start(model, &home, Path::new(&cable.world), true)
-                    .map_err(|error| format!("no serial port at {}: {error}", cable.world))?,
-                None => SimulatedScanner::start(model, &home, &dir.join("lidar"), false)?,
+                Some(cable) => {
+                    SimulatedScanner::start(model, &home, start_ns, Path::new(&cable.world), true)
+                        .map_err(|error| format!("no serial port at {}: {error}", cable.world))?
+                }
+                None => SimulatedScanner::start(model, &home, start_ns, &dir.join("lidar"), false)?,
             },
             wheels: Arc::new(Mutex::new([1, 2].map(|node| rig::node(options.protocol, node)))),
             config: dir.join("robot.toml"),
@@ -144,7 +147,6 @@ impl LiveWorld {
             Some(cable) => MotorBus::on_interface(&cable.world, plugged),
             None => MotorBus::on_hub(dir.join("can"), plugged)?,
         };
-        let start_ns = monotonic_ns();
         if options.imu {
             let server = ImuServer {
                 path: dir.join("imu"),

@@ -8,7 +8,7 @@ use std::str::FromStr;
 use drivers::lidar::{LidarConfig, LidarKind};
 use drivers::rplidar::RplidarConfig;
 use drivers::{rplidar, scip};
-use hal::ScanGeometry;
+use hal::{LaserScan, ScanGeometry};
 use monotonic_clock::monotonic_ns;
 
 use super::Home;
@@ -107,14 +107,17 @@ pub enum SimulatedScanner {
 }
 
 impl SimulatedScanner {
-    /// Starts a scanner that sees the home, on a pty at a path or on an existing serial port.
+    /// Starts a scanner that sees the home, on a pty at a path or on an existing serial port. The home's time began at `start_ns`
+    /// of the monotonic clock.
     pub(super) fn start(
         model: ScannerModel,
         home: &Home,
+        start_ns: u64,
         path: &Path,
         is_serial: bool,
     ) -> io::Result<Self> {
-        let view = Box::new(HomeScanner { home: home.clone(), model });
+        let scan = LaserScan::empty(model.geometry());
+        let view = Box::new(HomeScanner { lidar: home.lidar(), model, start_ns, scan });
         let now_ns = monotonic_ns();
         Ok(match (model, is_serial) {
             (ScannerModel::Hokuyo(model), false) => {

@@ -1,50 +1,46 @@
 //! The scanner's and the camera's view of the home.
 
-use std::f64::consts::TAU;
-
-use hal::{CameraModel, DepthMap, Pose3, Range};
+use hal::{CameraModel, DepthMap, LaserScan, Pose3, Range};
 use rand_pcg::Pcg64Mcg;
 use simulator::nuisance::Nuisances;
 use simulator::render::Lighting;
+use simulator::robot::SimLidar;
 
 use super::{Home, ScannerModel};
 use crate::hokuyo::ScanSource;
 use crate::rotary::CircleSource;
 use crate::video::ImageSource;
 
+/// The scanner's view. Its revolutions have their own times, and every beam sees the home as it was when it was measured.
 pub(super) struct HomeScanner {
-    pub home: Home,
+    pub lidar: SimLidar,
     pub model: ScannerModel,
+    /// Time 0 of the home on the monotonic clock.
+    pub start_ns: u64,
+    pub scan: LaserScan,
 }
 
 impl ScanSource for HomeScanner {
-    fn ranges_mm(&mut self, _time_ns: u64, out: &mut [u32]) {
+    fn ranges_mm(&mut self, time_ns: u64, out: &mut [u32]) {
         let ScannerModel::Hokuyo(model) = self.model else { return };
         let codes = model.spec().codes;
         let nothing = codes.no_return.unwrap_or(codes.dmax_mm + 1);
         let near = codes.too_near.first().copied().unwrap_or(0);
-        self.home.scan(|scan| {
-            for (out, range) in out.iter_mut().zip(&scan.ranges) {
-                *out = match range {
-                    Range::Hit(metres) => (metres * 1000.0).round() as u32,
-                    Range::NoReturn => nothing,
-                    Range::TooNear => near,
-                    Range::Error => 0,
-                };
-            }
-        });
+        self.lidar.scan_from(time_ns.saturating_sub(self.start_ns), &mut self.scan);
+        for (out, range) in out.iter_mut().zip(&self.scan.ranges) {
+            *out = match range {
+                Range::Hit(metres) => (metres * 1000.0).round() as u32,
+                Range::NoReturn => nothing,
+                Range::TooNear => near,
+                Range::Error => 0,
+            };
+        }
     }
 }
 
 impl CircleSource for HomeScanner {
-    fn range(&mut self, _time_ns: u64, angle_rad: f64) -> Range {
-        let mut range = Range::Error;
-        self.home.scan(|scan| {
-            let from_first_rad = (angle_rad - scan.geometry.angle_min_rad).rem_euclid(TAU);
-            let beam = (from_first_rad / scan.geometry.angle_increment_rad).round() as usize;
-            range = scan.ranges.get(beam % scan.ranges.len().max(1)).copied().unwrap_or_default();
-        });
-        range
+    fn range(&mut self, time_ns: u64, angle_rad: f64) -> Range {
+        self.lidar.beam(time_ns.saturating_sub(self.start_ns), angle_rad)
     }
 }
 

@@ -4,7 +4,7 @@
 
 use anyhow::{Context, Result};
 use hal::{CameraModel, LaserScan, Pose2, Range, ScanGeometry, camera_mount};
-use runtime::mapping::{Cell, CellBox, FrontierFinder, MapConfig, OccupancyGrid, Surfaces};
+use runtime::mapping::{Cell, CellBox, FrontierFinder, MapConfig, OccupancyGrid, Surfaces, Sweep};
 use runtime::perception::DepthEstimate;
 use runtime::planning::{Costmap, PlanConfig, Planner};
 
@@ -75,7 +75,7 @@ fn map_updates() -> Result<Vec<Row>> {
         let t_odom_camera = pose.to_pose3() * camera_mount(0.0, 0.8, 0.0);
         grid.integrate_depth(&estimate, &camera, &t_odom_camera, &surfaces)?;
         if with_scan {
-            grid.integrate_scan(&scan, &pose)?;
+            grid.integrate_scan(&scan, &Sweep::at_rest(pose))?;
         }
         grid.mark_standing(&pose, 0.12)?;
         grid.finish_update();

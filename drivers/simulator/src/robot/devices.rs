@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 
 use hal::{
     Base, Camera, CameraModel, Clock, DepthMap, DriveCommand, ErrorKind, ErrorType, Frame,
-    LaserScan, Lidar, Pose2, ScanGeometry, Twist2, WheelFeedback,
+    LaserScan, Lidar, Pose2, Range, ScanGeometry, Twist2, WheelFeedback,
 };
 use rand_pcg::Pcg64Mcg;
 
@@ -82,6 +82,21 @@ pub struct SimLidar {
 impl SimLidar {
     pub(super) fn new(shared: Shared, model: LaserModel, rng: Pcg64Mcg) -> Self {
         Self { shared, model, rng, returned: None }
+    }
+
+    /// Takes the scan of the revolution that began at `begin_ns`, within the last second. A scanner that is simulated with its
+    /// wire protocol has revolutions of its own.
+    pub fn scan_from(&mut self, begin_ns: u64, scan: &mut LaserScan) {
+        let period_ns = self.model.geometry.period_ns;
+        let motion = lock(&self.shared).motion_of_scan(begin_ns + period_ns, period_ns);
+        motion.scan(&self.model, &mut self.rng, scan);
+    }
+
+    /// Measures one beam at `time_ns`, within the last second, in a direction counter-clockwise from the x axis of the `laser`
+    /// frame, radians.
+    pub fn beam(&mut self, time_ns: u64, angle_rad: f64) -> Range {
+        let view = lock(&self.shared).view_of_beam(time_ns);
+        view.measure(angle_rad, &self.model, &mut self.rng)
     }
 }
 
@@ -189,6 +204,12 @@ impl Truth {
     #[must_use]
     pub fn pose(&self) -> Pose2 {
         lock(&self.shared).pose
+    }
+
+    /// True pose of the base at a time of the last second.
+    #[must_use]
+    pub fn pose_at(&self, time_ns: u64) -> Pose2 {
+        lock(&self.shared).trail.at(time_ns as i64)
     }
 
     /// Pose of the odometry frame in the world at the current time. It moves as odometry drifts;

@@ -15,7 +15,7 @@ use std::f64::consts::FRAC_PI_4;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use hal::{
-    CameraModel, DepthMap, Distortion, Frame, LaserScan, Pose2, Pose3, RobotDescription,
+    CameraModel, DepthMap, Distortion, Frame, LaserScan, Pose2, Pose3, Range, RobotDescription,
     ScanGeometry, Twist2, WheelFeedback, wrap_angle,
 };
 use rand::{RngExt, SeedableRng};
@@ -379,6 +379,15 @@ impl State {
         }
     }
 
+    fn view_of_beam(&self, time_ns: u64) -> BeamView {
+        let t_world_base = self.floor.raise(&self.trail.at(time_ns as i64));
+        BeamView {
+            world: Arc::clone(&self.world),
+            bodies: self.inhabitants.bodies(time_ns),
+            t_world_laser: t_world_base * self.options.t_base_laser,
+        }
+    }
+
     fn feedback(&mut self) -> WheelFeedback {
         let contact = std::mem::take(&mut self.touched);
         WheelFeedback {
@@ -404,6 +413,20 @@ impl State {
 /// The time by which a time stamp is before what it belongs to.
 fn early_ns(late_s: f64) -> u64 {
     ((-late_s).max(0.0) * 1e9) as u64
+}
+
+/// The world around the scanner while it measures one beam.
+struct BeamView {
+    world: Arc<World>,
+    bodies: Vec<Capsule>,
+    t_world_laser: Pose3,
+}
+
+impl BeamView {
+    fn measure(&self, angle_rad: f64, model: &LaserModel, rng: &mut Pcg64Mcg) -> Range {
+        let renderer = self.world.renderer();
+        laser::beam(renderer, &self.t_world_laser, angle_rad, &self.bodies, model, rng)
+    }
 }
 
 /// The world around the scanner during one scan.

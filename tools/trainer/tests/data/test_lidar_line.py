@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.data.batches import lidar_lines, make_batch
 from embodied_depth_trainer.data.frames import Frames
-from embodied_depth_trainer.data.lidar_line import MAX_APART_NS, Scan, line
+from embodied_depth_trainer.data.lidar_line import MIN_APART_NS, Scan, line
 from embodied_depth_trainer.data.pairs import PairRule, pairs_by_baseline
 from embodied_depth_trainer.data.recording import read_recording, read_segment
 from embodied_depth_trainer.errors import TrainerError
@@ -28,11 +28,12 @@ from ..stores import record, without_coarse
 # From the scanner (x ahead, y left, z up) to a camera that rendered ahead 0.4 m above it.
 AHEAD = np.array([[0, -1, 0, 0], [0, 0, -1, 0.4], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 INCREMENT = np.pi / 720
+PERIOD_NS = 25_000_000
 
 
 def scan_of(ranges: NDArray[np.float64], time_ns: int = 0) -> Scan:
     """A scan from the right to the left, of half a circle or less, with the middle beam ahead."""
-    return Scan(time_ns, -INCREMENT * (len(ranges) // 2), INCREMENT, 0.1, 30.0, ranges)
+    return Scan(time_ns, -INCREMENT * (len(ranges) // 2), INCREMENT, 0.1, 30.0, PERIOD_NS, ranges)
 
 
 def scan_of_the_room(pose: NDArray[np.float64]) -> Scan:
@@ -213,12 +214,19 @@ def test_a_scan_is_placed_at_the_pose_of_its_own_time(tmp_path: Path) -> None:
 
 def test_a_scan_that_is_too_old_or_new_is_not_used(tmp_path: Path) -> None:
     frames = room(3, (64, 192))
-    late = scans_of(frames, MAX_APART_NS + 1)
+    late = scans_of(frames, MIN_APART_NS - PERIOD_NS // 2 + 1)
     write_segment(tmp_path / "a.mcap", frames, straight(3), scans=[late[0], *scans_of(frames)[1:]])
     found = read_segment(tmp_path / "a.mcap").frames
     assert found.lidar is not None
     assert not found.lidar[0].any()
     assert found.lidar[1:, 1].any(axis=1).all()
+
+
+def test_the_newest_whole_scan_of_a_slow_scanner_belongs_to_the_frame() -> None:
+    # An LD06: the middle of the scan is 150 ms before the frame at most.
+    scan = replace(scan_of(np.ones(3)), period_ns=100_000_000)
+    assert scan.belongs_to(200_000_000)
+    assert not scan.belongs_to(250_000_001)
 
 
 def test_a_scan_that_contradicts_its_tick_ends_the_segment(tmp_path: Path) -> None:
@@ -243,4 +251,4 @@ def test_lidar_loss_without_scans_is_refused(tmp_path: Path, capsys: pytest.Capt
     store = without_coarse(tmp_path / "run", tmp_path / "store")
     command = ["train", "--store", str(store.folder), "--network", "monodepth2_r18", "--steps", "1"]
     assert main([*command, "--lidar-weight", "0.1", "--out", str(tmp_path / "out")]) == 1
-    assert "no LiDAR scan" in capsys.readouterr().err
+    assert "has a LiDAR scan from about its time" in capsys.readouterr().err

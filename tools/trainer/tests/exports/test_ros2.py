@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
 from embodied_depth_trainer.commands.cli import main
-from embodied_depth_trainer.exports.ros2 import topics
+from embodied_depth_trainer.exports.ros2 import messages, topics
 from embodied_depth_trainer.exports.ros2.messages import distances
 from embodied_depth_trainer.exports.ros2.topics import Topic
 
@@ -85,8 +85,8 @@ def test_every_image_scan_and_pose_is_exported_as_recorded(tmp_path: Path, capsy
         assert info.k.tolist() == [fx, 0, cx, 0, fy, cy, 0, 0, 1]
         assert info.p.tolist() == [fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0]
 
-        # The scan's own time.
-        assert head(scan) == (tick.time_ns + 7, "laser")
+        # The scan's own time: its first beam is 45 degrees from straight behind.
+        assert head(scan) == (tick.time_ns + 7 + 25_000_000 // 8, "laser")
         assert (scan.angle_min, scan.angle_increment) == (
             np.float32(SCAN["angle_min_rad"]),
             np.float32(SCAN["angle_increment_rad"]),
@@ -115,6 +115,24 @@ def test_every_image_scan_and_pose_is_exported_as_recorded(tmp_path: Path, capsy
         assert xyzw(base.transform.rotation) == xyzw(pose.orientation)
         assert (head(origin), origin.child_frame_id) == ((tick.wheel["time_ns"], "map"), "odom")
         assert origin.transform.translation.x == 0.5
+
+
+def test_the_beams_of_a_scanner_that_rotates_clockwise_are_written_in_the_order_of_their_times() -> None:
+    recorded = {
+        **SCAN,
+        "angle_min_rad": -1.5,
+        "angle_increment_rad": 1.0,
+        "beams": 4,
+        "time_ns": 100,
+        "clockwise": True,
+    }
+    scan = messages.laser_scan(messages.time(0), recorded, np.array([1.0, 2.0, 3.0, 4.0]))
+    assert scan.ranges.tolist() == [4, 3, 2, 1]
+    assert (scan.angle_min, scan.angle_max, scan.angle_increment) == (1.5, -1.5, -1)
+    assert scan.time_increment > 0
+    # From straight behind to 1.5 rad, clockwise.
+    share = (np.pi - 1.5) / (2 * np.pi)
+    assert messages.first_beam_ns(recorded) == 100 + round(share * 25_000_000)
 
 
 def test_sensor_mounts_and_maps_are_latched_for_late_subscribers(tmp_path: Path) -> None:

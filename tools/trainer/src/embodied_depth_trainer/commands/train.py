@@ -28,7 +28,6 @@ from embodied_depth_trainer.commands.arguments import (
     with_absolute_paths,
 )
 from embodied_depth_trainer.data.buffer import select
-from embodied_depth_trainer.data.lidar_line import MAX_APART_NS
 from embodied_depth_trainer.data.pairs import PairRule
 from embodied_depth_trainer.data.past_frames import GAP, PastFrames
 from embodied_depth_trainer.errors import TrainerError
@@ -267,8 +266,7 @@ def run_rank(options: argparse.Namespace, device: str) -> None:
     frames = dataset.frames
     if options.lidar_weight > 0 and not dataset.has_lidar:
         raise TrainerError(
-            f"no LiDAR scan is within {MAX_APART_NS // 1_000_000} ms of one of the {len(frames)} frames; "
-            "train on them without --lidar-weight"
+            f"no frame of {len(frames)} has a LiDAR scan from about its time; train on them without --lidar-weight"
         )
     low, high = options.baseline
     pairs, validation = find_pairs(dataset, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))

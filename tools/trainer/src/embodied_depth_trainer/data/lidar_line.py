@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from embodied_depth_trainer.data.frames import Intrinsics
 
-# A scan that is older or newer than its frame by more than this shows other columns: at 20 degrees per second, 1
-# degree.
-MAX_APART_NS = 50_000_000
+# The middle of a scan may be two revolutions before or after its frame, because the newest whole scan of a scanner of
+# 10 revolutions a second has its middle up to 150 ms before it; and at least this.
+MIN_APART_NS = 50_000_000
 # Hits nearer to the camera than this are not part of the scene, metres.
 NEAREST_M = 0.1
 # Rows and millimetres are stored in 16 bits.
@@ -35,6 +35,7 @@ class Scan:
     angle_increment_rad: float
     range_min_m: float
     range_max_m: float
+    period_ns: int
     ranges_m: NDArray[np.float64]
     """[beams]; as in REP-117, +inf is no return, -inf a hit that was too near, NaN an error."""
 
@@ -47,8 +48,14 @@ class Scan:
             float(entry["angle_increment_rad"]),
             float(entry["range_min_m"]),
             float(entry["range_max_m"]),
+            int(entry["period_ns"]),
             np.asarray(ranges, np.float64),
         )
+
+    def belongs_to(self, frame_ns: int) -> bool:
+        """Whether it is near enough in time to a frame."""
+        middle_ns = self.time_ns + self.period_ns // 2
+        return abs(middle_ns - frame_ns) <= max(MIN_APART_NS, 2 * self.period_ns)
 
     def hits(self) -> NDArray[np.float64]:
         """Points [P, 3] in the scanner's frame (x ahead, y left, z up) where a beam hit something. Beams without a

@@ -15,7 +15,7 @@ from torchvision.io import ImageReadMode, decode_png
 
 from embodied_depth_trainer.data.frames import Frames, Intrinsics
 from embodied_depth_trainer.data.held_out import is_held_out
-from embodied_depth_trainer.data.lidar_line import MAX_APART_NS, Scan, line
+from embodied_depth_trainer.data.lidar_line import Scan, line
 from embodied_depth_trainer.data.messages import (
     DECISION,
     FORMAT_VERSION,
@@ -204,7 +204,7 @@ class _Run:
         """The LiDAR's line in the frame that was read last; empty where no scan is close enough in time. The robot may
         have moved between scan and frame, so the scan is placed at the pose of its own time."""
         assert self.camera is not None
-        if self.scan is None or abs(self.scan.time_ns - self.times[-1]) > MAX_APART_NS:
+        if self.scan is None or not self.scan.belongs_to(self.times[-1]):
             return np.zeros((2, self.camera.width), np.uint16)
         return line(self.camera, self.t_camera_base @ np.linalg.inv(t_odom_base) @ self.t_odom_laser, self.scan)
 

@@ -95,7 +95,7 @@ class Bag:
                 self._put(topics.CAMERA_INFO, at_ns, messages.camera_info(stamp, run["camera"]))
             if tick.ranges is not None:
                 scan = tick.recorded["scan"]
-                taken = messages.time(self._dates.unix_ns(scan["time_ns"]))
+                taken = messages.time(self._dates.unix_ns(messages.first_beam_ns(scan)))
                 self._put(topics.SCAN, at_ns, messages.laser_scan(taken, scan, tick.ranges))
             if tick.grid is not None:
                 self._put(topics.MAP, at_ns, messages.occupancy_grid(stamp, tick.grid))

@@ -90,20 +90,37 @@ def camera_info(stamp: Time, camera: dict[str, Any]) -> ros.sensor_msgs__msg__Ca
     )
 
 
-def laser_scan(stamp: Time, recorded: dict[str, Any], ranges: NDArray[np.float64]) -> ros.sensor_msgs__msg__LaserScan:
-    """Beams without a distance follow REP-117: no return is +infinity, too near is -infinity, not measured is NaN."""
+def first_beam_ns(recorded: dict[str, Any]) -> int:
+    """Time of the beam that a scan measures first, on the robot's clock. A revolution begins straight behind."""
+    first, step = _first_beam(recorded)
+    rotated = 0.5 + (first if step > 0 else -first) / math.tau
+    return int(recorded["time_ns"]) + round(rotated * int(recorded["period_ns"]))
+
+
+def _first_beam(recorded: dict[str, Any]) -> tuple[float, float]:
+    """Direction of the beam that is measured first, and the angle from it to the next; negative for clockwise."""
     first, step = number(recorded["angle_min_rad"]), number(recorded["angle_increment_rad"])
+    if recorded.get("clockwise", False):
+        return first + step * max(0, recorded["beams"] - 1), -step
+    return first, step
+
+
+def laser_scan(stamp: Time, recorded: dict[str, Any], ranges: NDArray[np.float64]) -> ros.sensor_msgs__msg__LaserScan:
+    """The beams in the order in which they were measured, as ROS has them; `stamp` is the time of the first one. Beams
+    without a distance follow REP-117: no return is +infinity, too near is -infinity, not measured is NaN."""
+    first, step = _first_beam(recorded)
+    ordered = ranges[::-1] if recorded.get("clockwise", False) else ranges
     period_s = recorded["period_ns"] * 1e-9
     return ros.sensor_msgs__msg__LaserScan(
         header=_header(stamp, "laser"),
         angle_min=first,
         angle_max=first + step * max(0, len(ranges) - 1),
         angle_increment=step,
-        time_increment=period_s * step / math.tau,
+        time_increment=period_s * abs(step) / math.tau,
         scan_time=period_s,
         range_min=number(recorded["range_min_m"]),
         range_max=number(recorded["range_max_m"]),
-        ranges=distances(ranges),
+        ranges=distances(ordered),
         intensities=np.zeros(0, np.float32),
     )
 
