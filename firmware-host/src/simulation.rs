@@ -14,12 +14,16 @@ impl Config {
     /// The safety plane's configuration in simulation: the simulated base answers at once and stops within a step.
     #[must_use]
     pub fn simulated_safety_config(&self) -> SafetyConfig {
+        let safety = self.safety_config();
         SafetyConfig {
+            lateral_margin_m: safety.lateral_margin_m.max(self.devices.lidar.accuracy_m()),
+            // A simulated base stops at once, and the default scanner counts as one that sees at once.
+            reaction_s: (self.sight_s() - Self::default().sight_s()).max(0.0),
             good_scans: self.run.good_scans,
             feedback_timeout_s: self.run.feedback_timeout_s,
             plan_timeout_s: self.run.plan_timeout_s,
             period_s: 1.0 / self.run.safety_hz,
-            ..self.safety_config()
+            ..safety
         }
     }
 }
@@ -41,7 +45,7 @@ pub fn simulated_robot(config: &Config, seed: u64, start: Option<Pose2>) -> Robo
         t_base_laser: simulator.truth.lidar(config.lidar.mount()).t_base_laser_3d(),
         sliding: simulator.sliding,
         odometry: simulator.odometry_noise(),
-        laser: simulator.laser_model(),
+        laser: simulator.laser_model(&config.devices.lidar),
         nuisances: simulator.nuisances.clone(),
         camera_latency_s: simulator.latency_s(),
         camera_late_s: simulator.truth.camera_late_s,

@@ -1,5 +1,6 @@
 //! The section `[simulator]`.
 
+use drivers::lidar::LidarConfig;
 use hal::{CameraMount, LidarMount};
 use simulator::laser::LaserModel;
 use simulator::nuisance::Nuisances;
@@ -160,10 +161,11 @@ impl SimulatorSection {
         }
     }
 
-    /// The simulated scanner: a UTM-30LX with the configured noise.
+    /// The simulated scanner: beams, ranges and revolutions of the configured one, with the configured noise.
     #[must_use]
-    pub fn laser_model(&self) -> LaserModel {
+    pub fn laser_model(&self, lidar: &LidarConfig) -> LaserModel {
         LaserModel {
+            geometry: lidar.geometry(),
             noise_near_m: self.lidar_noise_m,
             noise_far_m: 3.0 * self.lidar_noise_m,
             dropout: self.lidar_dropout,

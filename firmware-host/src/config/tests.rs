@@ -307,7 +307,23 @@ fn a_number_without_a_range_must_be_finite() {
 
 #[test]
 fn the_default_scanner_is_the_one_of_the_data_sheet() {
-    assert_eq!(Config::default().simulator.laser_model(), simulator::laser::LaserModel::UTM_30LX);
+    let config = Config::default();
+    let laser = config.simulator.laser_model(&config.devices.lidar);
+    assert_eq!(laser, simulator::laser::LaserModel::UTM_30LX);
+}
+
+#[test]
+fn a_simulated_robot_has_the_scanner_of_its_configuration_and_a_safety_plane_that_waits_for_it() {
+    let mut config = Config::default();
+    assert_eq!(config.simulated_safety_config().reaction_s, 0.0);
+    config.devices.lidar.kind = drivers::lidar::LidarKind::Ld06;
+    let laser = config.simulator.laser_model(&config.devices.lidar);
+    assert_eq!((laser.geometry.beams, laser.geometry.period_ns), (400, 100_000_000));
+    assert!(laser.geometry.clockwise);
+    let safety = config.simulated_safety_config();
+    // Three scans of 115 ms and 30 ms on the cable, instead of two scans of 25 ms.
+    assert!((safety.reaction_s - 0.325).abs() < 1e-9, "{}", safety.reaction_s);
+    assert!((safety.lateral_margin_m - 0.045).abs() < 1e-9);
 }
 
 #[test]
