@@ -262,7 +262,8 @@ fn ring_offsets(ring: i32) -> impl Iterator<Item = (i32, i32)> {
 
 #[cfg(test)]
 mod tests {
-    use hal::{Clock, LaserScan, Lidar};
+    use drivers::lidar::{LidarConfig, LidarKind};
+    use hal::{Base, Clock, DriveCommand, LaserScan, Lidar, ScanGeometry, Twist2};
     use runtime::mapping::{LidarUse, MapConfig, Sweep};
     use simulator::laser::LaserModel;
     use simulator::{OpenOptions, RobotOptions, SimulatedRobot, World};
@@ -274,27 +275,33 @@ mod tests {
         Arc::new(World::open("builtin:apartment?seed=1", &OpenOptions::default()).unwrap())
     });
 
-    /// Exact scans from places all over the home, with their true poses.
-    fn scans() -> Vec<(Pose2, LaserScan)> {
+    /// Exact scans from places all over the home, with the true poses of their middles, while the robots rotate.
+    fn scans(geometry: ScanGeometry, angular_radps: f64) -> Vec<(Pose2, LaserScan)> {
         (0..40)
             .map(|seed| {
                 let start = HOME.floor_plan().random_pose(seed);
                 let options = RobotOptions {
-                    laser: LaserModel::IDEAL,
+                    laser: LaserModel { geometry, ..LaserModel::IDEAL },
                     start: Some(start),
                     ..RobotOptions::default()
                 };
                 let mut devices = SimulatedRobot::new(HOME.clone(), options).unwrap().devices();
-                devices.clock.sleep_until_ns(100_000_000);
-                let mut scan = LaserScan::empty(devices.lidar.geometry());
+                let twist = Twist2 { linear_mps: 0.0, angular_radps };
+                devices.base.drive(&DriveCommand { twist, counter: 1, plan_age_ns: 0 }).unwrap();
+                devices.clock.sleep_until_ns(200_000_000);
+                let mut scan = LaserScan::empty(geometry);
                 devices.lidar.poll_scan(&mut scan).unwrap();
-                (start, scan)
+                (devices.truth.pose_at(scan.middle_ns()), scan)
             })
             .collect()
     }
 
-    /// The map of the scans at the poses that `believe` makes of the true ones, and the coverage.
-    fn mapped(believe: impl Fn(usize, &Pose2) -> Pose2) -> (OccupancyGrid, Coverage) {
+    /// The map of the scans with this velocity at the poses that `believe` makes of the true ones, and the coverage.
+    fn mapped(
+        scans: &[(Pose2, LaserScan)],
+        twist: &Twist2,
+        believe: impl Fn(usize, &Pose2) -> Pose2,
+    ) -> (OccupancyGrid, Coverage) {
         let config = MapConfig { lidar: LidarUse::HitsAndFree, decay: 1.0, ..MapConfig::default() };
         let mut map = OccupancyGrid::new(&config).unwrap();
         let plan = HOME.floor_plan();
@@ -302,12 +309,13 @@ mod tests {
         let reachable = super::super::map_plot::reachable_cells(plan);
         let mut coverage =
             Coverage::new(reachable, grid.width, grid.origin_m, grid.resolution_m).unwrap();
-        for (index, (truth, scan)) in scans().iter().enumerate() {
+        for (index, (truth, scan)) in scans.iter().enumerate() {
             let believed = believe(index, truth);
             let t_world_map = truth.compose(&believed.inverse());
             for _ in 0..4 {
                 map.begin_update(&believed).unwrap();
-                map.integrate_scan(scan, &Sweep::at_rest(believed)).unwrap();
+                let sweep = Sweep::new(&believed, &Pose2::IDENTITY, twist);
+                map.integrate_scan(scan, &sweep).unwrap();
                 map.finish_update();
                 for cell in map.newly_known() {
                     let [x_m, y_m] = map.center_m(*cell);
@@ -323,7 +331,8 @@ mod tests {
         t_world_map: &Pose2,
         believe: impl Fn(usize, &Pose2) -> Pose2,
     ) -> (MapAccuracy, f64) {
-        let (map, coverage) = mapped(believe);
+        let scans = scans(ScanGeometry::UTM_30LX, 0.0);
+        let (map, coverage) = mapped(&scans, &Twist2::ZERO, believe);
         let accuracy = Judge::new(&map, HOME.floor_plan(), &coverage).measure(t_world_map);
         (accuracy, coverage.share())
     }
@@ -336,6 +345,23 @@ mod tests {
         assert!(accuracy.off10.unwrap() < 0.01, "{accuracy:?}");
         assert!(accuracy.error_m.unwrap().p50 < 0.03, "{accuracy:?}");
         assert!(accuracy.iou.unwrap() > 0.85, "{accuracy:?}");
+    }
+
+    /// At 40 degrees per second an LD06 measures its last beam .035 rad after the middle of a scan.
+    #[test]
+    fn a_robot_that_rotates_with_a_slow_scanner_has_the_map_of_one_that_stands() {
+        let geometry = LidarConfig { kind: LidarKind::Ld06, ..LidarConfig::default() }.geometry();
+        let rotates = Twist2 { linear_mps: 0.0, angular_radps: 0.7 };
+        let scans = scans(geometry, rotates.angular_radps);
+        let error_m = |twist: &Twist2| {
+            let (map, coverage) = mapped(&scans, twist, |_, truth| *truth);
+            let judge = Judge::new(&map, HOME.floor_plan(), &coverage);
+            judge.measure(&Pose2::IDENTITY).error_m.unwrap()
+        };
+        let right = error_m(&rotates);
+        assert!(right.p50 < 0.007 && right.p90 < 0.027, "{right:?}");
+        let motion_left_in = error_m(&Twist2::ZERO);
+        assert!(motion_left_in.p50 > 0.009 && motion_left_in.p90 > 0.03, "{motion_left_in:?}");
     }
 
     #[test]
