@@ -17,7 +17,8 @@ impl Config {
         let safety = self.safety_config();
         SafetyConfig {
             lateral_margin_m: safety.lateral_margin_m.max(self.devices.lidar.accuracy_m()),
-            // A simulated base stops at once, and the default scanner counts as one that sees at once.
+            // A simulated base stops at once, and the default scanner counts as one that sees at once. On the safe side, this
+            // includes the time on the cable of a slower one.
             reaction_s: (self.sight_s() - Self::default().sight_s()).max(0.0),
             good_scans: self.run.good_scans,
             feedback_timeout_s: self.run.feedback_timeout_s,

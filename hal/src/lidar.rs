@@ -36,7 +36,7 @@ impl Range {
 /// A revolution begins and ends straight behind, at an angle of pi, so that the beam straight ahead is measured in its middle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScanGeometry {
-    /// Direction of the first beam.
+    /// Direction of the first beam, -pi or more. That of the last beam is pi or less.
     pub angle_min_rad: f64,
     /// Angle between neighbouring beams; positive.
     pub angle_increment_rad: f64,
@@ -97,7 +97,7 @@ impl LaserScan {
     /// The time halfway through the scan, monotonic nanoseconds.
     #[must_use]
     pub fn middle_ns(&self) -> u64 {
-        self.time_ns + self.geometry.period_ns / 2
+        self.time_ns.saturating_add(self.geometry.period_ns / 2)
     }
 
     /// The angle in radians and the distance in metres of every beam that hit something.

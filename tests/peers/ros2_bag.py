@@ -95,7 +95,9 @@ def same_scan(scan, of):
     assert scan.header.frame_id == of.frame_id
     assert np.array_equal(ranges, expected, equal_nan=True)
     assert abs(scan.angle_max - of.end_angle) < 1e-6 and abs(scan.angle_min - of.start_angle) < 1e-6
-    same_time(scan.header, of.timestamp.ToNanoseconds())
+    # ROS has the time of the first beam, the recording that of the revolution's begin, straight behind.
+    rotated = 0.5 + of.start_angle / math.tau
+    same_time(scan.header, of.timestamp.ToNanoseconds() + round(rotated * round(scan.scan_time * 1e9)))
 
 
 def same_odometry(odometry, of):
@@ -200,8 +202,9 @@ def hits_of(scan, path, mount):
     ranges = np.asarray(scan.ranges)
     angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
     near = np.isfinite(ranges) & (ranges < 8)
-    # The beam straight ahead is measured halfway through a revolution.
-    x_m, y_m, yaw_rad = path.at(time_ns(scan.header) + int(scan.scan_time / 2 * 1e9))
+    # The pose at the time of the beam straight ahead.
+    ahead_s = -scan.angle_min / scan.angle_increment * scan.time_increment
+    x_m, y_m, yaw_rad = path.at(time_ns(scan.header) + int(ahead_s * 1e9))
     in_base = ranges[near] * np.array([np.cos(angles[near]), np.sin(angles[near])]) + mount
     rotation = np.array([[math.cos(yaw_rad), -math.sin(yaw_rad)], [math.sin(yaw_rad), math.cos(yaw_rad)]])
     return rotation @ in_base + np.array([[x_m], [y_m]])

@@ -4,8 +4,8 @@
 /// reckons with it.
 pub const SLOWER: f64 = 1.15;
 /// A revolution that took longer than this multiple of the longest one may hold measurements of two
-/// revolutions, because data was lost.
-const BROKEN: f64 = 1.75;
+/// revolutions, because data was lost: 1.84 nominal periods.
+const BROKEN: f64 = 1.6;
 /// The rate is measured over this many revolutions, so that a computer that reads one of them late
 /// does not count as a slow motor.
 const REVOLUTIONS: usize = 4;
@@ -137,7 +137,7 @@ mod tests {
 
     #[test]
     fn a_revolution_that_took_two_periods_lost_data_and_a_second_one_is_a_slow_motor() {
-        let times = after(&[100, 210, 100, 250, 250]);
+        let times = after(&[100, 200, 100, 250, 250]);
         assert_eq!(times[2], RevolutionTime::Partial);
         assert!(matches!(times[3], RevolutionTime::Whole { .. }));
         assert_eq!(times[4..], [RevolutionTime::Partial, RevolutionTime::TooSlow { hz: 4.0 }]);

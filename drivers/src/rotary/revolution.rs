@@ -10,9 +10,10 @@ use super::Sample;
 const BEAMS: [usize; 12] = [180, 240, 300, 360, 400, 480, 600, 720, 900, 1080, 1200, 1440];
 /// A motor that rotates faster than it should by this factor still meets every beam.
 const FASTER: f64 = 1.1;
-/// Directions jitter by some degrees, so that a scanner seems to pass the same direction repeatedly. A revolution has
-/// measured this part of its beams at least: 22 degrees. Our own choice.
-const JITTER: usize = 16;
+/// Directions jitter by some degrees, so that a scanner seems to pass the same direction repeatedly. A revolution has more
+/// measurements than this share of its beams: those of 10 degrees with an S2, which measures each beam twice, and of 20
+/// with an LD06. Our own choice.
+const LEAST_SHARE: f64 = 1.0 / 16.0;
 
 /// How a scanner is mounted.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -60,46 +61,75 @@ pub fn circle(samples_per_revolution: f64, range_m: (f32, f32), period_ns: u64) 
 pub struct Revolution {
     angle_min_rad: f64,
     angle_increment_rad: f64,
+    /// The rotation is clockwise in the `laser` frame.
+    clockwise: bool,
     mount: Mount,
     beams: Vec<Option<Range>>,
     /// Measurements since the revolution began.
     measured: usize,
-    /// Angle from straight behind to the last measurement, in the direction of the rotation, radians from 0 to 2 pi.
-    rotated_rad: Option<f64>,
+    /// How far the scanner had rotated since straight behind at the last three measurements, radians from 0 to 2 pi. A wrong
+    /// direction among them does not change their median.
+    rotated_rad: heapless::HistoryBuf<f64, 3>,
+    /// The two newest measurements, which tell whether the one before them was the first of a revolution.
+    newest: [Option<Sample>; 2],
 }
 
 impl Revolution {
-    /// A revolution without measurements.
+    /// A revolution without measurements. `geometry` is that of a scanner that is mounted so ([`Mount::geometry`]).
     #[must_use]
     pub fn new(geometry: &ScanGeometry, mount: Mount) -> Self {
         Self {
             angle_min_rad: geometry.angle_min_rad,
             angle_increment_rad: geometry.angle_increment_rad,
+            clockwise: geometry.clockwise,
             mount,
             beams: vec![None; geometry.beams],
             measured: 0,
-            rotated_rad: None,
+            rotated_rad: heapless::HistoryBuf::new(),
+            newest: [None; 2],
         }
     }
 
-    /// Whether a measurement, which was not added yet, is the first of the next revolution. Revolutions begin straight behind,
-    /// so that what is ahead is measured in the middle of one, and not at its beginning and its end.
-    #[must_use]
-    pub fn ends_before(&self, sample: &Sample) -> bool {
-        let Some(before_rad) = self.rotated_rad else { return false };
-        before_rad - self.rotated_rad(sample) > PI && self.measured > self.beams.len() / JITTER
+    /// Takes a measurement. Returns true if it shows that a revolution has ended, whose ranges are then in `ranges`.
+    /// Revolutions begin straight behind, so that what is ahead is measured in the middle of one, and not at its beginning and
+    /// its end. Two of three measurements must lie in the next revolution: the direction of one may be wrong.
+    pub fn push(&mut self, sample: &Sample, ranges: &mut Vec<Range>) -> bool {
+        let [first, second] = self.newest;
+        self.newest = [second, Some(*sample)];
+        let (Some(first), Some(second)) = (first, second) else { return false };
+        let has_ended = self.measured as f64 > LEAST_SHARE * self.beams.len() as f64
+            && self.is_behind_seam(&first)
+            && (self.is_behind_seam(&second) || self.is_behind_seam(sample));
+        if has_ended {
+            self.finish(ranges);
+        }
+        self.add(&first);
+        has_ended
     }
 
-    fn rotated_rad(&self, sample: &Sample) -> f64 {
-        let angle_rad = self.mount.angle_rad(sample.clockwise_rad);
-        let rotation_rad = if self.mount.upside_down { angle_rad } else { -angle_rad };
-        (rotation_rad + PI).rem_euclid(TAU)
+    /// Whether the scanner had rotated further before: by more than half a revolution, because directions jitter.
+    fn is_behind_seam(&self, sample: &Sample) -> bool {
+        let mut last = [0.0; 3];
+        if self.rotated_rad.len() < last.len() {
+            return false;
+        }
+        last.copy_from_slice(self.rotated_rad.as_slice());
+        last.sort_by(f64::total_cmp);
+        last[1] - self.rotated_to_rad(sample) > PI
     }
 
-    /// Adds a measurement. Of several in one beam the nearest counts.
-    pub fn add(&mut self, sample: &Sample) {
+    /// From the seam to a measurement. The seam is beside the beam that points straight behind, so that all measurements of this
+    /// beam belong to the same revolution.
+    fn rotated_to_rad(&self, sample: &Sample) -> f64 {
+        let seam_rad = PI - 0.5 * self.angle_increment_rad;
+        let from_seam_rad = self.mount.angle_rad(sample.clockwise_rad) - seam_rad;
+        (if self.clockwise { -from_seam_rad } else { from_seam_rad }).rem_euclid(TAU)
+    }
+
+    /// Of several measurements in one beam the nearest counts.
+    fn add(&mut self, sample: &Sample) {
         self.measured += 1;
-        self.rotated_rad = Some(self.rotated_rad(sample));
+        self.rotated_rad.write(self.rotated_to_rad(sample));
         let beam = self.beam(sample.clockwise_rad);
         if let Some(known) = self.beams.get_mut(beam) {
             *known = Some(known.map_or(finite(sample.range), |known| nearer(known, sample.range)));
@@ -107,7 +137,7 @@ impl Revolution {
     }
 
     /// Copies the ranges of all beams, and begins the next revolution.
-    pub fn finish(&mut self, ranges: &mut Vec<Range>) {
+    fn finish(&mut self, ranges: &mut Vec<Range>) {
         self.measured = 0;
         ranges.clear();
         ranges.extend(self.beams.iter_mut().map(|beam| beam.take().unwrap_or(Range::Error)));
@@ -184,15 +214,14 @@ mod tests {
 
     /// The clockwise directions, in degrees, of the measurements that begin a revolution.
     fn begins_deg(mount: Mount, clockwise_deg: impl Iterator<Item = f64>) -> Vec<f64> {
-        let mut revolution = Revolution::new(&circle(450.0, RANGE_M, 1), mount);
+        let mut revolution = Revolution::new(&mount.geometry(circle(450.0, RANGE_M, 1)), mount);
         let mut begins = Vec::new();
-        for degrees in clockwise_deg {
-            let sample = sample(degrees.rem_euclid(360.0), Range::Hit(1.0));
-            if revolution.ends_before(&sample) {
-                revolution.finish(&mut Vec::new());
-                begins.push(degrees.rem_euclid(360.0));
+        let mut before_deg = [0.0; 2];
+        for degrees in clockwise_deg.map(|degrees| degrees.rem_euclid(360.0)) {
+            if revolution.push(&sample(degrees, Range::Hit(1.0)), &mut Vec::new()) {
+                begins.push(before_deg[0]);
             }
-            revolution.add(&sample);
+            before_deg = [before_deg[1], degrees];
         }
         begins
     }
@@ -200,14 +229,12 @@ mod tests {
     #[test]
     fn revolutions_begin_straight_behind_however_the_scanner_is_mounted() {
         let three = || (0..1500).map(|index| 90.25 + 0.75 * f64::from(index));
-        let rounded = |mount| -> Vec<f64> {
-            begins_deg(mount, three()).iter().map(|degrees| degrees.round()).collect()
-        };
-        assert_eq!(rounded(Mount::default()), [180.0; 3]);
+        // The beam that points straight behind ends a clockwise revolution, and begins one counter-clockwise.
+        assert_eq!(begins_deg(Mount::default(), three()), [181.0; 3]);
         let turned = Mount { zero_rad: 90_f64.to_radians(), upside_down: false };
-        assert_eq!(rounded(turned), [270.0; 3], "the zero points to the left");
+        assert_eq!(begins_deg(turned, three()), [271.0; 3], "the zero points to the left");
         let over = Mount { zero_rad: 90_f64.to_radians(), upside_down: true };
-        assert_eq!(rounded(over), [90.0; 3]);
+        assert_eq!(begins_deg(over, three()), [90.25; 3]);
     }
 
     #[test]
@@ -220,10 +247,16 @@ mod tests {
         // 120 degrees around straight behind are missing.
         let gap = clean().filter(|degrees| (degrees.rem_euclid(360.0) - 180.0).abs() > 60.0);
         assert_eq!(begins_deg(Mount::default(), gap).len(), 3);
-        // One measurement claims to be elsewhere, just after a revolution has begun.
-        let wrong =
-            clean().enumerate().map(|(index, degrees)| if index == 120 { 170.0 } else { degrees });
-        assert_eq!(begins_deg(Mount::default(), wrong).len(), 3);
+        for wrong_deg in (0..360).step_by(10).map(f64::from) {
+            for at in 0..500 {
+                // One measurement claims to be elsewhere.
+                let wrong = clean()
+                    .enumerate()
+                    .map(|(index, degrees)| if index == at { wrong_deg } else { degrees });
+                let begins = begins_deg(Mount::default(), wrong);
+                assert_eq!(begins.len(), 3, "measurement {at} at {wrong_deg} degrees");
+            }
+        }
     }
 
     #[test]

@@ -163,10 +163,9 @@ impl Publisher<'_> {
         match event {
             Event::Sample(sample) => {
                 self.data_ns = Some(arrival_ns);
-                if self.revolution.ends_before(&sample) {
+                if self.revolution.push(&sample, &mut self.scans.input_buffer_mut().ranges) {
                     self.end_revolution(arrival_ns);
                 }
-                self.revolution.add(&sample);
             }
             Event::Missing => {
                 self.shared.lost.fetch_add(1, Relaxed);
@@ -187,7 +186,6 @@ impl Publisher<'_> {
     }
 
     fn end_revolution(&mut self, arrival_ns: u64) {
-        self.revolution.finish(&mut self.scans.input_buffer_mut().ranges);
         match self.clock.end_revolution(arrival_ns) {
             RevolutionTime::Partial => self.good_in_a_row = 0,
             RevolutionTime::TooSlow { hz } => {

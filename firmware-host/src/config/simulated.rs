@@ -86,7 +86,7 @@ impl TruthSection {
 }
 
 hal::settings! {
-    /// The simulated robot.
+    /// The simulated robot. Its scanner is that of `[devices.lidar]`, with the noise that is given here.
     pub struct SimulatorSection {
         /// Whether the robot slides along an obstacle that it touches (the default of Habitat) or stops there.
         sliding: bool = false;

@@ -23,7 +23,7 @@ pub struct Estimate {
     pub t_odom_base: Pose2,
     /// Pose at the middle of the scan, in `odom`; `None` without a scan.
     pub t_odom_base_at_scan: Option<Pose2>,
-    /// Velocity since the update before, by wheels and gyroscope.
+    /// Velocity between the last two reports of wheels and gyroscope, without its part to the side.
     pub twist: Twist2,
     /// Covariance of `t_odom_base` against the scans of the last metres: x and y in the axes of `odom` (m²), yaw (rad²). The
     /// relative pose of two updates has the sum of their covariances, and the drift between their keyframes.

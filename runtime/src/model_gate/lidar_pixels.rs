@@ -6,10 +6,10 @@ use nalgebra::Point3;
 
 use crate::tick::TickInput;
 
-/// Largest time between the middle of a scan and a frame: two revolutions, because the newest whole scan of a scanner of 10
-/// revolutions a second has its middle up to 150 ms before a frame; and at least this. The robot's own motion is taken out. A
-/// person who walks at 1 m/s moves 0.2 m in two such revolutions, 10 % at 2 m.
-const MIN_TIME_DIFFERENCE_NS: u64 = 50_000_000;
+/// Limits of the time between the middle of a scan and a frame, nanoseconds. It may be two revolutions, because the newest whole
+/// scan of a scanner of 10 revolutions a second has its middle up to 150 ms before a frame. The robot's own motion is taken out;
+/// a person who walks at 1 m/s moves by 0.25 m in the longest of these times, 13 % at 2 m. Our own choice.
+const APART_NS: [u64; 2] = [50_000_000, 250_000_000];
 /// Depths within this factor of the LiDAR's depth are right (Eigen et al. 2014).
 const DELTA1: f32 = 1.25;
 /// Returns closer to the camera than this are ignored, metres: no object is that close.
@@ -62,8 +62,9 @@ impl LidarView {
         scan_odom: &Pose2,
         wheel: &WheelFeedback,
     ) -> Vec<LidarPixel> {
-        let longest_ns = MIN_TIME_DIFFERENCE_NS.max(2 * scan.geometry.period_ns);
-        if scan.middle_ns().abs_diff(wheel.time_ns) > longest_ns {
+        let [shortest_ns, longest_ns] = APART_NS;
+        let apart_ns = scan.geometry.period_ns.saturating_mul(2).clamp(shortest_ns, longest_ns);
+        if scan.middle_ns().abs_diff(wheel.time_ns) > apart_ns {
             return Vec::new();
         }
         let t_frame_scan = wheel.odom.inverse().compose(scan_odom);

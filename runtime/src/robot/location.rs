@@ -49,7 +49,7 @@ impl TickPoses {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Located {
     pub poses: TickPoses,
-    /// Velocity since the tick before, by wheels and gyroscope; with wheels alone that which they report.
+    /// Velocity between the last two reports of wheels and gyroscope; with wheels alone that which they report.
     pub twist: Twist2,
     /// Whether `t_map_odom` is known.
     pub whereabouts: Whereabouts,

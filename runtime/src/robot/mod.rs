@@ -12,6 +12,8 @@ mod saved_map;
 #[cfg(test)]
 mod saved_map_tests;
 #[cfg(test)]
+mod sweep_tests;
+#[cfg(test)]
 mod test_robot;
 mod tilt;
 mod wheel_frame;
@@ -703,7 +705,7 @@ impl Robot {
             .map(|step| step / self.config.tick_s)
     }
 
-    /// Returns the velocity since the tick before.
+    /// Returns the velocity, for the motion during the scan.
     fn localize(
         &mut self,
         input: &TickInput<'_>,

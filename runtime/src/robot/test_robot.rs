@@ -9,7 +9,7 @@ use crate::recording::RecordedTick;
 use crate::session::recompute;
 
 /// Half of the sides of a room around the origin, metres.
-const ROOM_M: [f64; 2] = [2.0, 1.4];
+pub(super) const ROOM_M: [f64; 2] = [2.0, 1.4];
 /// One beam per degree.
 pub(super) const GEOMETRY: ScanGeometry = ScanGeometry {
     beams: 270,
@@ -32,12 +32,15 @@ pub(super) fn robot() -> Robot {
 
 /// What the scanner measures at a true pose in the room.
 fn scan(truth: &Pose2, time_ns: u64) -> LaserScan {
-    let ranges = (0..GEOMETRY.beams).map(|beam| {
-        let (sin, cos) = (truth.yaw_rad + GEOMETRY.angle_rad(beam)).sin_cos();
-        let to_side_m = to_wall_m(truth.x_m, cos, ROOM_M[0]);
-        Range::Hit(to_side_m.min(to_wall_m(truth.y_m, sin, ROOM_M[1])) as f32)
-    });
+    let ranges =
+        (0..GEOMETRY.beams).map(|beam| Range::Hit(range_m(truth, GEOMETRY.angle_rad(beam)) as f32));
     LaserScan { time_ns, geometry: GEOMETRY, ranges: ranges.collect() }
+}
+
+/// Distance of the wall in a direction from a pose in the room.
+pub(super) fn range_m(from: &Pose2, angle_rad: f64) -> f64 {
+    let (sin, cos) = (from.yaw_rad + angle_rad).sin_cos();
+    to_wall_m(from.x_m, cos, ROOM_M[0]).min(to_wall_m(from.y_m, sin, ROOM_M[1]))
 }
 
 /// Length of a ray from `at_m` to the wall that it meets on one axis.

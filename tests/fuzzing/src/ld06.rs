@@ -11,25 +11,32 @@ pub fn ld06(data: &[u8]) {
     let mut decoder = Decoder::new(15);
     let geometry = circle(450.0, (0.02, 12.0), 1);
     let mut revolution = Revolution::new(&geometry, Mount::default());
+    let mut ranges = Vec::new();
     let mut samples = 0;
+    let mut in_revolution = 0;
     for byte in data {
         found.extend(framer.push(*byte, Packet::read).and_then(Result::ok));
         decoder.push(*byte, |event| {
             let Event::Sample(sample) = event else { return };
             samples += 1;
             assert!((0.0..std::f64::consts::TAU).contains(&sample.clockwise_rad));
-            revolution.add(&sample);
+            in_revolution += 1;
+            if revolution.push(&sample, &mut ranges) {
+                check_revolution(&ranges, in_revolution);
+                in_revolution = 1;
+            }
         });
     }
     assert_eq!(found, simple_search(data));
     assert_eq!(samples, 12 * found.len());
-    let mut ranges = Vec::new();
-    revolution.finish(&mut ranges);
-    assert_eq!(ranges.len(), geometry.beams);
+}
+
+/// A revolution has all beams, and none but those of its measurements.
+fn check_revolution(ranges: &[Range], measurements: usize) {
+    assert_eq!(ranges.len(), 400);
     assert!(ranges.iter().all(|range| range.hit_m().is_none_or(|m| (0.02..=12.0).contains(&m))));
-    if found.is_empty() {
-        assert!(ranges.iter().all(|range| *range == Range::Error), "nothing was measured");
-    }
+    let measured = ranges.iter().filter(|range| **range != Range::Error).count();
+    assert!(measured <= measurements && measurements > ranges.len() / 16);
 }
 
 /// The packets in the bytes, from the first to the last, none of which overlap.

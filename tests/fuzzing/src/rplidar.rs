@@ -40,21 +40,24 @@ fn decode(head: &[u8], stream: &[u8]) {
     let mut decoder = Decoder::new(RANGE_M);
     let geometry = circle(727.0, RANGE_M, 1);
     let mut revolution = Revolution::new(&geometry, Mount::default());
+    let mut ranges = Vec::new();
     let mut samples = 0;
     for byte in head.iter().chain(stream) {
         decoder.push(*byte, |event| {
             let Event::Sample(sample) = event else { return };
             samples += 1;
             assert!((0.0..std::f64::consts::TAU).contains(&sample.clockwise_rad));
-            revolution.add(&sample);
+            if revolution.push(&sample, &mut ranges) {
+                assert_eq!(ranges.len(), geometry.beams);
+                let limits = RANGE_M.0..=RANGE_M.1;
+                assert!(
+                    ranges.iter().all(|range| range.hit_m().is_none_or(|m| limits.contains(&m)))
+                );
+            }
         });
     }
     // A dense capsule of 84 bytes has 40 measurements, a standard measurement five bytes.
     assert!(2 * samples <= stream.len());
-    let mut ranges = Vec::new();
-    revolution.finish(&mut ranges);
-    let limits = RANGE_M.0..=RANGE_M.1;
-    assert!(ranges.iter().all(|range| range.hit_m().is_none_or(|m| limits.contains(&m))));
 }
 
 /// A capsule that is accepted is the same after reading and writing its parts.

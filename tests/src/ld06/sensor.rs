@@ -86,7 +86,7 @@ impl Sensor for Ld06Sensor {
     fn receive(&mut self, _bytes: &[u8], _now_ns: u64, _out: &mut Vec<Vec<u8>>) {}
 
     fn update(&mut self, now_ns: u64, out: &mut Vec<Vec<u8>>) {
-        // A packet is sent when its last point is measured.
+        // A packet is sent when the point after its last one is due.
         while self.begin_ns + PACKET_NS <= now_ns {
             out.extend(self.next_packet());
         }

@@ -230,7 +230,7 @@ impl Sensor for RplidarSensor {
         let mut scan = scan;
         let count = scan.measurements();
         let lasts_ns = self.lasts_ns(scan, count);
-        // A message is sent when its last measurement is made.
+        // A message is sent when the measurement after its last one is due.
         while self.begin_ns + lasts_ns <= now_ns {
             let step_deg = 360.0 * self.rotation_hz / self.rate_hz(scan);
             let start_deg = self.angle_deg;
@@ -287,6 +287,7 @@ mod tests {
         let mut sensor = RplidarSensor::new(Model::A1, Box::new(CircleRoom), 0);
         answers(&mut sensor, &[0xa5, 0x82, 5, 0, 0, 0, 0, 0, 0x22]);
         let mut out = Vec::new();
+        // The request came at 1 ns.
         sensor.update(1_000_000_001, &mut out);
         assert_eq!(out.len(), 125);
         assert!(out.iter().all(|message| message.len() == 84));

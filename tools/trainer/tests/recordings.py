@@ -92,7 +92,13 @@ def write_segment(
     add("header", json.dumps(header(frames, segment, identity)).encode(), 0)
     for index, wheel in enumerate(wheels):
         time_ns = int(frames.time_ns[index])
-        tick: dict[str, Any] = {"tick": index, "time_ns": time_ns, "wheel": wheel, "frame": True, "truth": truth}
+        tick: dict[str, Any] = {
+            "tick": index,
+            "time_ns": time_ns,
+            "wheel": {"time_ns": time_ns} | wheel,
+            "frame": True,
+            "truth": truth,
+        }
         tick["scan_odom"] = wheel if scan_odom is None else scan_odom[index]
         scan = None if scans is None else scans[index]
         if scan is not None:

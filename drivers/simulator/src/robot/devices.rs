@@ -85,14 +85,14 @@ impl SimLidar {
     }
 
     /// Takes the scan of the revolution that began at `begin_ns`, within the last second. A scanner that is simulated with its
-    /// wire protocol has revolutions of its own.
+    /// wire protocol has revolutions of its own. People and animals stand still during it.
     pub fn scan_from(&mut self, begin_ns: u64, scan: &mut LaserScan) {
         let period_ns = self.model.geometry.period_ns;
         let motion = lock(&self.shared).motion_of_scan(begin_ns + period_ns, period_ns);
         motion.scan(&self.model, &mut self.rng, scan);
     }
 
-    /// Measures one beam at `time_ns`, within the last second, in a direction counter-clockwise from the x axis of the `laser`
+    /// Measures one beam at its true time `time_ns`, within the last second, in a direction counter-clockwise from the x axis of the `laser`
     /// frame, radians.
     pub fn beam(&mut self, time_ns: u64, angle_rad: f64) -> Range {
         let view = lock(&self.shared).view_of_beam(time_ns);

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.data.batches import lidar_lines, make_batch
 from embodied_depth_trainer.data.frames import Frames
-from embodied_depth_trainer.data.lidar_line import MIN_APART_NS, Scan, line
+from embodied_depth_trainer.data.lidar_line import APART_NS, Scan, line
 from embodied_depth_trainer.data.pairs import PairRule, pairs_by_baseline
 from embodied_depth_trainer.data.recording import read_recording, read_segment
 from embodied_depth_trainer.errors import TrainerError
@@ -214,7 +214,7 @@ def test_a_scan_is_placed_at_the_pose_of_its_own_time(tmp_path: Path) -> None:
 
 def test_a_scan_that_is_too_old_or_new_is_not_used(tmp_path: Path) -> None:
     frames = room(3, (64, 192))
-    late = scans_of(frames, MIN_APART_NS - PERIOD_NS // 2 + 1)
+    late = scans_of(frames, APART_NS[0] - PERIOD_NS // 2 + 1)
     write_segment(tmp_path / "a.mcap", frames, straight(3), scans=[late[0], *scans_of(frames)[1:]])
     found = read_segment(tmp_path / "a.mcap").frames
     assert found.lidar is not None

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from embodied_depth_trainer.data.frames import Intrinsics
 
-# The middle of a scan may be two revolutions before or after its frame, because the newest whole scan of a scanner of
-# 10 revolutions a second has its middle up to 150 ms before it; and at least this.
-MIN_APART_NS = 50_000_000
+# Limits of the time between the middle of a scan and a frame. It may be two revolutions, because the newest whole scan
+# of a scanner of 10 revolutions a second has its middle up to 150 ms before a frame. The robot's own motion is taken
+# out.
+APART_NS = (50_000_000, 250_000_000)
 # Hits nearer to the camera than this are not part of the scene, metres.
 NEAREST_M = 0.1
 # Rows and millimetres are stored in 16 bits.
@@ -55,7 +56,8 @@ class Scan:
     def belongs_to(self, frame_ns: int) -> bool:
         """Whether it is near enough in time to a frame."""
         middle_ns = self.time_ns + self.period_ns // 2
-        return abs(middle_ns - frame_ns) <= max(MIN_APART_NS, 2 * self.period_ns)
+        shortest_ns, longest_ns = APART_NS
+        return abs(middle_ns - frame_ns) <= min(max(2 * self.period_ns, shortest_ns), longest_ns)
 
     def hits(self) -> NDArray[np.float64]:
         """Points [P, 3] in the scanner's frame (x ahead, y left, z up) where a beam hit something. Beams without a

@@ -119,6 +119,7 @@ class _Run:
         self.rgb: list[NDArray[np.uint8]] = []
         self.poses: list[NDArray[np.float64]] = []
         self.times: list[int] = []
+        self.frame_ns = 0
         self.truth: list[NDArray[np.uint16]] = []
         self.lines: list[NDArray[np.uint16]] = []
         self.held_out: list[bool] = []
@@ -135,6 +136,7 @@ class _Run:
                 raise BrokenError(f"it does not begin with {HEADER}")
             if channel.topic == TICK:
                 tick = json.loads(message.data)
+                self.scan = None
             elif channel.topic == DECISION and tick is not None:
                 decision = json.loads(message.data)
                 self.events.update(event["event"] for event in decision.get("events", []))
@@ -152,6 +154,8 @@ class _Run:
                     self.poses.append(self.t_wheels_base @ t_base_camera)
                     self.held_out.append(is_held_out(x_m, y_m, yaw_rad))
                     self.times.append(int(tick["time_ns"]))
+                    # The wheels are reported for the time of the frame; the tick itself is later.
+                    self.frame_ns = int(tick["wheel"]["time_ns"])
                     self.lines.append(self._line(self.t_wheels_base))
                 else:
                     self.truth.append(_millimetres(file, tick, content))
@@ -201,10 +205,10 @@ class _Run:
         return t_base_camera
 
     def _line(self, t_odom_base: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
-        """The LiDAR's line in the frame that was read last; empty where no scan is close enough in time. The robot may
-        have moved between scan and frame, so the scan is placed at the pose of its own time."""
+        """The LiDAR's line in the frame that was read last; empty where its tick has no scan close enough in time. The
+        robot may have moved between scan and frame, so the scan is placed at the pose of its own time."""
         assert self.camera is not None
-        if self.scan is None or not self.scan.belongs_to(self.times[-1]):
+        if self.scan is None or not self.scan.belongs_to(self.frame_ns):
             return np.zeros((2, self.camera.width), np.uint16)
         return line(self.camera, self.t_camera_base @ np.linalg.inv(t_odom_base) @ self.t_odom_laser, self.scan)
 

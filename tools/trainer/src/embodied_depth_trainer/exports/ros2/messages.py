@@ -92,8 +92,8 @@ def camera_info(stamp: Time, camera: dict[str, Any]) -> ros.sensor_msgs__msg__Ca
 
 def first_beam_ns(recorded: dict[str, Any]) -> int:
     """Time of the beam that a scan measures first, on the robot's clock. A revolution begins straight behind."""
-    first, step = _first_beam(recorded)
-    rotated = 0.5 + (first if step > 0 else -first) / math.tau
+    first, _ = _first_beam(recorded)
+    rotated = 0.5 + (-first if recorded.get("clockwise", False) else first) / math.tau
     return int(recorded["time_ns"]) + round(rotated * int(recorded["period_ns"]))
 
 
