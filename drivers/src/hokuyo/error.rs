@@ -37,8 +37,8 @@ pub enum HokuyoError {
     /// The device sends bytes, but no SCIP messages.
     #[error(
         "LiDAR {port}: {bytes} bytes arrived but no answer to `{command}`: wrong baud rate \
-         ({baud}) or another device; set `baud` (19200, 57600, 115200, 250000, 500000, 750000) or \
-         correct `port`"
+         ({baud}) or another device; set `baud` (19200, 57600, 115200, 250000, 500000, 750000), \
+         correct `port`, or set `kind = \"rplidar\"` or `\"ld06\"` if it is not a Hokuyo"
     )]
     NotScip {
         port: Arc<str>,

@@ -194,12 +194,15 @@ pub enum Verdict {
 }
 
 impl Finding {
-    /// Whether `calibration.toml` gets the new value, if the parameter has a key. Scans that are stamped early are not corrected,
-    /// because a scan of the future would seem to be new for too long.
+    /// Whether `calibration.toml` gets the new value, if the parameter has a key.
     #[must_use]
     pub fn is_written(&self) -> bool {
-        let is_early = self.parameter == Parameter::LidarLatency && self.new < 0.0;
-        matches!(self.verdict(), Verdict::AsConfigured | Verdict::Changed) && !is_early
+        matches!(self.verdict(), Verdict::AsConfigured | Verdict::Changed) && !self.is_early_scan()
+    }
+
+    /// Scans that are stamped early are not corrected, because a scan of the future would seem to be new for too long.
+    fn is_early_scan(&self) -> bool {
+        self.parameter == Parameter::LidarLatency && self.new < 0.0
     }
 
     /// What the finding is worth.
@@ -238,6 +241,11 @@ impl fmt::Display for Finding {
                 to,
                 "{name}: {old:.decimals$}{unit} as configured (measured {new:.decimals$} +- {sigma:.decimals$}{unit})"
             ),
+            Verdict::Changed if self.is_early_scan() => write!(
+                to,
+                "{name}: {old:.decimals$}{unit} as configured (measured {new:.decimals$} +- {sigma:.decimals$}{unit}: scans are \
+                 stamped early, or the wheels' reports late, which is not corrected)"
+            ),
             Verdict::Changed => {
                 write!(
                     to,
@@ -246,5 +254,25 @@ impl fmt::Display for Finding {
                 if effect.is_empty() { Ok(()) } else { write!(to, "; it changes {effect}") }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scans_that_are_stamped_early_are_reported_and_not_corrected() {
+        let found = |parameter| Finding { parameter, old: 0.0, new: -5.4, sigma: 1.0 };
+        let early = found(Parameter::LidarLatency);
+        assert!(!early.is_written());
+        let sentence = early.to_string();
+        assert!(sentence.contains("0.0 ms as configured (measured -5.4 +- 1.0 ms"), "{sentence}");
+        assert!(sentence.ends_with("which is not corrected)"), "{sentence}");
+        // Frames may come from the future.
+        let frames = found(Parameter::CameraLatency);
+        assert!(frames.is_written() && frames.to_string().contains("0.0 -> -5.4"));
+        let late = Finding { new: 5.4, ..early };
+        assert!(late.is_written());
     }
 }

@@ -133,26 +133,39 @@ pub(super) struct Sink {
     written: Rc<Written>,
     /// Length up to the last flush: complete chunks only.
     good: u64,
+    /// Length up to the flush before it.
+    good_before: u64,
     sync: bool,
 }
 
 impl Sink {
     pub(super) fn new(file: Box<dyn SegmentFile>, written: Rc<Written>, sync: bool) -> Self {
-        Self { file: BufWriter::new(file), written, good: 0, sync }
+        Self { file: BufWriter::new(file), written, good: 0, good_before: 0, sync }
+    }
+
+    /// Whether a chunk with ticks was flushed after the header.
+    pub(super) fn holds_ticks(&self) -> bool {
+        self.good_before > 0
     }
 
     /// After a failed write: truncates the file to its complete chunks and ends it as a valid MCAP file.
     pub(super) fn salvage(self) -> io::Result<()> {
         // The bytes in the buffer belong to the incomplete chunk.
         let (mut file, _) = self.file.into_parts();
-        file.truncate(self.good)?;
-        if let Err(error) = file.write_all(&END_WITHOUT_SUMMARY).and_then(|()| file.flush()) {
-            // No space even for these bytes. Readers then report a truncated file and read every complete chunk.
-            file.truncate(self.good)?;
-            return Err(error);
-        }
-        Ok(())
+        end_at(file.as_mut(), self.good).or_else(|error| {
+            // No space even for the end: the last chunk makes room for it. Without one, readers report a truncated file.
+            if self.good_before > 0 { end_at(file.as_mut(), self.good_before) } else { Err(error) }
+        })
     }
+}
+
+/// Ends a file as valid MCAP after this many of its bytes.
+fn end_at(file: &mut dyn SegmentFile, len: u64) -> io::Result<()> {
+    file.truncate(len)?;
+    file.write_all(&END_WITHOUT_SUMMARY).and_then(|()| file.flush()).or_else(|error| {
+        file.truncate(len)?;
+        Err(error)
+    })
 }
 
 impl Write for Sink {
@@ -166,6 +179,9 @@ impl Write for Sink {
         self.file.flush()?;
         if self.sync {
             self.file.get_mut().sync()?;
+        }
+        if self.good != self.written.bytes() {
+            self.good_before = self.good;
         }
         self.good = self.written.bytes();
         Ok(())

@@ -90,7 +90,7 @@ impl Segments {
         };
         let input = tick.input().map_err(|error| RecordError::writing(open.path.clone(), error))?;
         if let Err(error) = open.writer.write(tick, views) {
-            salvage(open.writer.abandon(), &open.path);
+            self.salvage(open.writer.abandon(), &open.path);
             return Err(RecordError::writing(open.path, error));
         }
         if let Some(keeper) = &mut self.keeper {
@@ -180,12 +180,32 @@ impl Segments {
         &self.summary
     }
 
+    /// Ends a segment that cannot be written any more at its last complete chunk.
+    fn salvage(&mut self, sink: Sink, path: &Path) {
+        let holds_ticks = sink.holds_ticks();
+        match sink.salvage() {
+            Ok(()) => tracing::warn!("{} was truncated to its last complete chunk", path.display()),
+            Err(error) if holds_ticks => {
+                tracing::warn!(
+                    "{} could not be closed and lacks its footer: {error}",
+                    path.display()
+                );
+            }
+            Err(error) => {
+                tracing::warn!("{} holds no tick and is removed: {error}", path.display());
+                if let Err(error) = self.disk.remove(path) {
+                    tracing::warn!("cannot remove {}: {error}", path.display());
+                }
+            }
+        }
+    }
+
     fn close(&mut self) -> Result<(), RecordError> {
         let Some(mut open) = self.open.take() else { return Ok(()) };
         if let Some(signer) = &mut self.signer
             && let Err(error) = sign(signer, &mut open)
         {
-            salvage(open.writer.abandon(), &open.path);
+            self.salvage(open.writer.abandon(), &open.path);
             return Err(RecordError::writing(open.path, error));
         }
         match open.writer.finish() {
@@ -194,7 +214,7 @@ impl Segments {
                 Ok(())
             }
             Err((sink, error)) => {
-                salvage(sink, &open.path);
+                self.salvage(sink, &open.path);
                 Err(RecordError::writing(open.path, error))
             }
         }
@@ -206,15 +226,6 @@ fn sign(signer: &mut Signer, open: &mut Open) -> Result<(), RecordingError> {
     open.writer.flush()?;
     let Some(digest) = open.written.digest() else { return Ok(()) };
     open.writer.write_metadata(SIGNATURE, signer.sign(open.number, digest))
-}
-
-fn salvage(sink: Sink, path: &Path) {
-    match sink.salvage() {
-        Ok(()) => tracing::warn!("{} was truncated to its last complete chunk", path.display()),
-        Err(error) => {
-            tracing::warn!("{} could not be closed and lacks its footer: {error}", path.display());
-        }
-    }
 }
 
 #[cfg(test)]

@@ -28,7 +28,7 @@ pub const CONFIG: &str = "\
 /// The homes of the drives that models are judged by. One drive shows 8 to 12 places, which are sometimes too few to show that a model is as
 /// good as another one.
 const HOMES: [&str; 2] = ["builtin:house?seed=1", "builtin:house?seed=2"];
-const DRIVE: [&str; 6] = ["--policy", "frontier", "--frames", "3000", "--seed", "3"];
+const DRIVE: [&str; 6] = ["--policy", "frontier", "--frames", "4500", "--seed", "4"];
 
 pub fn binary() -> PathBuf {
     assert_cmd::cargo::cargo_bin!("firmware-host").to_owned()
