@@ -64,6 +64,17 @@ impl ScanGeometry {
         clockwise: false,
     };
 
+    /// The LDROBOT LD06 at its usual rate, as its driver reports it: a whole circle in 400 beams, 0.02 to 12 m, 100 ms, clockwise.
+    pub const LD06: Self = Self {
+        angle_min_rad: -core::f64::consts::PI,
+        angle_increment_rad: core::f64::consts::TAU / 400.0,
+        beams: 400,
+        range_min_m: 0.02,
+        range_max_m: 12.0,
+        period_ns: 100_000_000,
+        clockwise: true,
+    };
+
     #[must_use]
     pub fn angle_rad(&self, beam: usize) -> f64 {
         self.angle_min_rad + self.angle_increment_rad * beam as f64

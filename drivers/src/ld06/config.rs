@@ -42,7 +42,7 @@ mod tests {
     #[test]
     fn a_scan_has_400_beams_at_ten_revolutions_a_second_and_fewer_at_more() {
         let config = Ld06Config::default();
-        assert_eq!((config.geometry().beams, config.geometry().period_ns), (400, 100_000_000));
+        assert_eq!(config.geometry(), ScanGeometry::LD06);
         assert_eq!(Ld06Config { rotation_hz: 13.0, ..config }.geometry().beams, 300);
     }
 

@@ -262,7 +262,6 @@ fn ring_offsets(ring: i32) -> impl Iterator<Item = (i32, i32)> {
 
 #[cfg(test)]
 mod tests {
-    use drivers::lidar::{LidarConfig, LidarKind};
     use hal::{Base, Clock, DriveCommand, LaserScan, Lidar, ScanGeometry, Twist2};
     use runtime::mapping::{LidarUse, MapConfig, Sweep};
     use simulator::laser::LaserModel;
@@ -350,9 +349,8 @@ mod tests {
     /// At 40 degrees per second an LD06 measures its last beam .035 rad after the middle of a scan.
     #[test]
     fn a_robot_that_rotates_with_a_slow_scanner_has_the_map_of_one_that_stands() {
-        let geometry = LidarConfig { kind: LidarKind::Ld06, ..LidarConfig::default() }.geometry();
         let rotates = Twist2 { linear_mps: 0.0, angular_radps: 0.7 };
-        let scans = scans(geometry, rotates.angular_radps);
+        let scans = scans(ScanGeometry::LD06, rotates.angular_radps);
         let error_m = |twist: &Twist2| {
             let (map, coverage) = mapped(&scans, twist, |_, truth| *truth);
             let judge = Judge::new(&map, HOME.floor_plan(), &coverage);

@@ -452,14 +452,7 @@ mod tests {
     /// An LD06 or an RPLIDAR measures for a tenth of a second, clockwise, while the robot rotates by .04 rad.
     #[test]
     fn a_scanner_that_rotates_slowly_and_clockwise_sees_the_room_as_it_is() {
-        let geometry = ScanGeometry {
-            angle_min_rad: -std::f64::consts::PI,
-            angle_increment_rad: std::f64::consts::TAU / 400.0,
-            beams: 400,
-            period_ns: 100_000_000,
-            clockwise: true,
-            ..ScanGeometry::UTM_30LX
-        };
+        let geometry = ScanGeometry::LD06;
         for seed in 0..4 {
             let mut robot = TestRobot::in_room(seed);
             robot.geometry = geometry;

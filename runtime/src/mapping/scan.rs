@@ -208,14 +208,7 @@ mod tests {
 
     #[test]
     fn a_wall_is_straight_although_the_robot_rotates_during_the_scan() {
-        let geometry = ScanGeometry {
-            angle_min_rad: -std::f64::consts::PI,
-            angle_increment_rad: std::f64::consts::TAU / 400.0,
-            beams: 400,
-            period_ns: 100_000_000,
-            clockwise: true,
-            ..ScanGeometry::UTM_30LX
-        };
+        let geometry = ScanGeometry::LD06;
         let twist = hal::Twist2 { linear_mps: 0.0, angular_radps: 1.0 };
         // The wall x = -1.015, in the middle of a column of cells, behind the robot.
         let ranges = (0..geometry.beams).map(|beam| {

@@ -198,14 +198,7 @@ mod tests {
     /// The newest scan of an LD06 is 120 ms old, and the robot rotates by .12 rad until the frame is taken.
     #[test]
     fn a_wall_is_where_it_is_in_the_frame_although_a_slow_scanner_saw_it_before() {
-        let geometry = ScanGeometry {
-            angle_min_rad: -std::f64::consts::PI,
-            angle_increment_rad: std::f64::consts::TAU / 400.0,
-            beams: 400,
-            period_ns: 100_000_000,
-            clockwise: true,
-            ..ScanGeometry::UTM_30LX
-        };
+        let geometry = ScanGeometry::LD06;
         let twist = Twist2 { linear_mps: 0.0, angular_radps: 1.0 };
         let scan_odom = Pose2::new(0.0, 0.0, -0.12);
         // A wall 3 m ahead of the robot in the frame.

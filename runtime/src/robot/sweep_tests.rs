@@ -12,14 +12,7 @@ const YAW_RATE_RADPS: f64 = 0.7;
 
 /// The scan of a clockwise scanner whose middle is at `yaw_rad`.
 fn scan(yaw_rad: f64, time_ns: u64) -> LaserScan {
-    let geometry = ScanGeometry {
-        angle_min_rad: -std::f64::consts::PI,
-        angle_increment_rad: std::f64::consts::TAU / 400.0,
-        beams: 400,
-        period_ns: 100_000_000,
-        clockwise: true,
-        ..ScanGeometry::UTM_30LX
-    };
+    let geometry = ScanGeometry::LD06;
     let ranges = (0..geometry.beams).map(|beam| {
         let yaw_rad = yaw_rad + YAW_RATE_RADPS * geometry.after_middle_s(beam);
         Range::Hit(range_m(&Pose2::new(0.0, 0.0, yaw_rad), geometry.angle_rad(beam)) as f32)

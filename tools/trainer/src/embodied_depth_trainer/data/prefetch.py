@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Generic, TypeVar
 
 import torch
@@ -38,3 +38,10 @@ class Prefetcher(Generic[Item]):
         self._ahead = kept
         self.waited_s += time.perf_counter() - start
         return item
+
+    def stop(self) -> None:
+        """Gives up the steps ahead, and waits for those that are already being made: nothing is read after it. The next
+        call begins again."""
+        running = [future for future in self._ahead.values() if not future.cancel()]
+        wait(running)
+        self._ahead = {}

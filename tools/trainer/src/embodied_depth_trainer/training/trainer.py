@@ -347,6 +347,8 @@ def train(
         if trainer.step % checkpoint_every == 0 and trainer.step < steps:
             _save(trainer, file)
     _save(trainer, file)
+    # A caller may close the object store, or delete the cache.
+    trainer.batches.stop()
     processes.wait_for_all()
     return file
 
