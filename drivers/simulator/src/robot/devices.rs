@@ -92,8 +92,8 @@ impl SimLidar {
         motion.scan(&self.model, &mut self.rng, scan);
     }
 
-    /// Measures one beam at its true time `time_ns`, within the last second, in a direction counter-clockwise from the x axis of the `laser`
-    /// frame, radians.
+    /// Measures one beam at its true time `time_ns`, within the last second, in a direction counter-clockwise from the x axis of
+    /// the `laser` frame, radians.
     pub fn beam(&mut self, time_ns: u64, angle_rad: f64) -> Range {
         let view = lock(&self.shared).view_of_beam(time_ns);
         view.measure(angle_rad, &self.model, &mut self.rng)
