@@ -8,8 +8,11 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// Increased whenever the layout of anything remembered changes. Old snapshots are then refused; recordings stay readable.
-pub const SNAPSHOT_VERSION: u32 = 12;
-/// The layout before, which lacks only the memory of the inertial unit at its end. It is read as that of a robot without a unit.
+pub const SNAPSHOT_VERSION: u32 = 13;
+/// The layout before, which lacks only what the robot knows of the scanner's latency at its end. It is read as that of a robot that
+/// knows nothing of it.
+pub const SNAPSHOT_WITHOUT_SCANNER_TIME: u32 = 12;
+/// The layout before that, which also lacks the memory of the inertial unit. It is read as that of a robot without a unit.
 pub const SNAPSHOT_WITHOUT_IMU: u32 = 11;
 
 /// Why a snapshot cannot be restored.

@@ -225,6 +225,42 @@ impl<const N: usize> ChangeTest<N> {
         Some(Found { index, by, sigma, begin, manner: self.manner(index, by, begin, limits) })
     }
 
+    /// The change of a parameter since `begin`, and its standard deviation; `None` if the beginning of the run is not known yet, or
+    /// if `begin` has left the window.
+    pub(crate) fn change_since(
+        &self,
+        begin: Begin,
+        index: usize,
+        limits: &Limits<N>,
+    ) -> Option<(f64, f64)> {
+        let first = self.window.iter().position(|block| block.begin.time_ns >= begin.time_ns)?;
+        let (before, blocks) = self.before(first);
+        if blocks < LEAST_REFERENCE {
+            return None;
+        }
+        let mut since = Sums::default();
+        self.window.iter().skip(first).for_each(|block| since.add(&block.sums));
+        let (change, sigma) = self.change(&before, &since, limits)?;
+        Some((change[index], sigma[index]))
+    }
+
+    /// By how much the parameters after differ from those before, and the standard deviations of that.
+    fn change(
+        &self,
+        before: &Sums<N>,
+        after: &Sums<N>,
+        limits: &Limits<N>,
+    ) -> Option<(SVector<f64, N>, SVector<f64, N>)> {
+        let expected = SVector::from(limits.expected);
+        let (reference, before) = before.solve(&expected)?;
+        let (change, after) = after.beside(&reference).solve(&expected)?;
+        let sigma = SVector::from_fn(|index, _| {
+            let variance = before[(index, index)] + after[(index, index)];
+            self.noise(index, limits) * variance.sqrt()
+        });
+        Some((change, sigma))
+    }
+
     /// How many standard deviations the largest change of a parameter has.
     pub(crate) fn suspicion(&self, index: usize, limits: &Limits<N>) -> f64 {
         let largest = self.largest(limits, |at, _, _| at == index);
@@ -237,7 +273,6 @@ impl<const N: usize> ChangeTest<N> {
         limits: &Limits<N>,
         counts: impl Fn(usize, f64, f64) -> bool,
     ) -> Option<(Begin, usize, f64, f64)> {
-        let expected = SVector::from(limits.expected);
         let mut since = Sums::default();
         let mut best = None;
         let mut most = 0.0;
@@ -250,15 +285,12 @@ impl<const N: usize> ChangeTest<N> {
             if blocks < LEAST_REFERENCE {
                 break;
             }
-            let (reference, before) = before.solve(&expected)?;
-            let (change, after) = since.beside(&reference).solve(&expected)?;
+            let (change, sigma) = self.change(&before, &since, limits)?;
             for index in 0..N {
-                let variance = before[(index, index)] + after[(index, index)];
-                let sigma = self.noise(index, limits) * variance.sqrt();
-                let size = change[index].abs() / sigma;
-                if size > most && counts(index, change[index], sigma) {
+                let size = change[index].abs() / sigma[index];
+                if size > most && counts(index, change[index], sigma[index]) {
                     most = size;
-                    best = Some((block.begin, index, change[index], sigma));
+                    best = Some((block.begin, index, change[index], sigma[index]));
                 }
             }
         }

@@ -9,11 +9,13 @@
 //! |---|---|---|
 //! | wheels: yaw per metre, yaw per yaw, distance | scans | driving, rotating, straight lines |
 //! | scanner: yaw, forward, left | wheels | straight lines, rotations |
+//! | scanner: latency | wheels | rotations that start and stop |
 //! | camera: pitch, roll, yaw | scans | rotations, rotations, straight lines |
 //! | camera: latency | scans | rotations that start and stop |
 
 mod change_test;
 mod leg_equations;
+mod scanner_time;
 mod sums;
 #[cfg(test)]
 mod tests;
@@ -22,10 +24,12 @@ use hal::Pose2;
 use serde::{Deserialize, Serialize};
 
 use crate::localization::{DrivenLeg, LocalizationConfig};
-use crate::snapshot::remembers;
+use crate::snapshot::{SnapshotError, State, remembers};
 use change_test::{Begin, ChangeTest, Found, Limits};
+use scanner_time::ScannerTime;
 
 pub use change_test::Manner;
+pub(crate) use scanner_time::{MatchedScan, rotation_starts_or_stops};
 pub(crate) use sums::Sums;
 
 /// A block of the drive ends when the rim of a wheel has travelled this distance, metres. It must not be used up by rotations, which say nothing of
@@ -61,11 +65,13 @@ pub enum Watched {
     CameraRoll,
     /// Time from the exposure of a frame to its stamp, s.
     CameraLatency,
+    /// Time from the measurement of a scan to its stamp, s.
+    LidarLatency,
 }
 
 impl Watched {
     /// Every watched parameter.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::WheelHeading,
         Self::WheelTrack,
         Self::WheelDistance,
@@ -76,6 +82,7 @@ impl Watched {
         Self::CameraYaw,
         Self::CameraRoll,
         Self::CameraLatency,
+        Self::LidarLatency,
     ];
 }
 
@@ -157,6 +164,10 @@ const CAMERA_PARTS: [Watched; 3] = [Watched::CameraPitch, Watched::CameraYaw, Wa
 /// A scanner whose yaw is suspected of a change by this many standard deviations may be why the camera seems to have turned: the
 /// camera is compared with the pose by scans.
 const SUSPECTED: f64 = 3.0;
+/// After this distance the wheels are not waited for any longer, metres: the camera is said to be late.
+const UNDECIDED_M: f64 = 10.0;
+/// Number of parameters of which a snapshot has the changes in one place. The changes of the others are at its end.
+const FIRST_WATCHED: usize = 10;
 
 /// Watches the calibration of one robot.
 #[derive(Debug, Default)]
@@ -165,23 +176,26 @@ pub struct CalibrationWatch {
     lidar: ChangeTest<3>,
     camera: ChangeTest<3>,
     latency: ChangeTest<1>,
+    scanner_time: ScannerTime,
     last_odom: Option<Pose2>,
     driven_m: f64,
     /// Distance that the rim of a wheel has rolled in the current block, metres.
     rolled_m: f64,
     begin: Begin,
-    /// The last change of each parameter.
-    changes: [Option<Change>; Watched::ALL.len()],
+    /// The last change of each parameter, without that of the scanner's latency.
+    changes: [Option<Change>; FIRST_WATCHED],
+    scanner_time_change: Option<Change>,
     /// Sums of the changes of the camera's pitch, yaw and roll, rad.
     camera_turned: [f64; 3],
 }
 
+// Not the scanner's latency, which snapshots of layout 12 and before do not have.
 remembers!(CalibrationWatch: wheels, lidar, camera, latency, last_odom, driven_m, rolled_m, begin, changes, camera_turned);
 
 impl CalibrationWatch {
     /// The last change of each parameter that has changed in this run.
     pub fn changes(&self) -> impl Iterator<Item = &Change> {
-        self.changes.iter().flatten()
+        self.changes.iter().chain([&self.scanner_time_change]).flatten()
     }
 
     /// How far the camera was turned in this run, as far as it was noticed, rad.
@@ -193,11 +207,18 @@ impl CalibrationWatch {
     pub fn measured(&self) -> impl Iterator<Item = Measured> {
         Watched::ALL.into_iter().filter_map(|what| {
             let index = what as usize;
-            let (value, sigma) = match index / 3 {
-                0 => self.wheels.estimate(index, &WHEELS)?,
-                1 => self.lidar.estimate(index - 3, &LIDAR)?,
-                2 => self.camera.estimate(index - 6, &CAMERA)?,
-                _ => self.latency.estimate(0, &LATENCY)?,
+            let (value, sigma) = match what {
+                Watched::WheelHeading | Watched::WheelTrack | Watched::WheelDistance => {
+                    self.wheels.estimate(index, &WHEELS)?
+                }
+                Watched::LidarYaw | Watched::LidarForward | Watched::LidarLeft => {
+                    self.lidar.estimate(index - 3, &LIDAR)?
+                }
+                Watched::CameraPitch | Watched::CameraYaw | Watched::CameraRoll => {
+                    self.camera.estimate(index - 6, &CAMERA)?
+                }
+                Watched::CameraLatency => self.latency.estimate(0, &LATENCY)?,
+                Watched::LidarLatency => self.scanner_time.estimate()?,
             };
             Some(Measured { what, value, sigma })
         })
@@ -207,6 +228,11 @@ impl CalibrationWatch {
     pub(crate) fn see_leg(&mut self, leg: &DrivenLeg, config: &LocalizationConfig) {
         self.wheels.add(&leg_equations::wheels(leg, config), &WHEELS);
         self.lidar.add(&leg_equations::scanner(leg, config), &LIDAR);
+    }
+
+    /// Takes the scan of a tick; `None` when it did not fit.
+    pub(crate) fn see_scan(&mut self, scan: Option<MatchedScan>, config: &LocalizationConfig) {
+        self.scanner_time.see(scan, config);
     }
 
     /// Takes what a frame says of the camera's mount.
@@ -236,7 +262,10 @@ impl CalibrationWatch {
         let next = Begin { driven_m: self.driven_m, time_ns };
         let begin = std::mem::replace(&mut self.begin, next);
         let change = self.end_block(begin)?;
-        self.changes[change.what as usize] = Some(change);
+        match self.changes.get_mut(change.what as usize) {
+            Some(last) => *last = Some(change),
+            None => self.scanner_time_change = Some(change),
+        }
         Some(change)
     }
 
@@ -245,6 +274,7 @@ impl CalibrationWatch {
         self.lidar.end_block(begin, &LIDAR);
         self.camera.end_block(begin, &CAMERA);
         self.latency.end_block(begin, &LATENCY);
+        self.scanner_time.end_block(begin);
         if let Some(found) = self.lidar.find(&LIDAR) {
             self.lidar.restart();
             self.camera.restart();
@@ -261,11 +291,46 @@ impl CalibrationWatch {
             self.camera_turned[found.index] += found.by;
             return Some(change(&found, &CAMERA_PARTS));
         }
-        if let Some(found) = self.latency.find(&LATENCY) {
-            self.latency.restart();
-            return Some(change(&found, &[Watched::CameraLatency]));
+        self.find_latency()
+    }
+
+    /// A change of the time stamps. The camera is compared with the scans, and the wheels say which of both has changed.
+    fn find_latency(&mut self) -> Option<Change> {
+        if let Some(found) = self.scanner_time.find() {
+            return Some(self.scanner_is_late(&found));
         }
-        None
+        let found = self.latency.find(&LATENCY)?;
+        match self.scanner_time.is_scanner(&found) {
+            Some(true) => return Some(self.scanner_is_late(&Found { by: -found.by, ..found })),
+            None if self.driven_m - found.begin.driven_m < UNDECIDED_M => return None,
+            Some(false) | None => {}
+        }
+        self.latency.restart();
+        Some(change(&found, &[Watched::CameraLatency]))
+    }
+
+    fn scanner_is_late(&mut self, found: &Found) -> Change {
+        self.scanner_time.restart();
+        self.latency.restart();
+        change(found, &[Watched::LidarLatency])
+    }
+
+    /// The part of the memory that belongs to the scanner's latency.
+    pub(crate) fn write_scanner_time(&self, to: &mut Vec<u8>) {
+        self.scanner_time.write(to);
+        self.scanner_time_change.write(to);
+    }
+
+    /// Restores what [`write_scanner_time`](Self::write_scanner_time) wrote.
+    pub(crate) fn read_scanner_time(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.scanner_time.read(from)?;
+        self.scanner_time_change.read(from)
+    }
+
+    /// Nothing is known of the scanner's latency: the snapshot that was read does not have it.
+    pub(crate) fn forget_scanner_time(&mut self) {
+        self.scanner_time = ScannerTime::default();
+        self.scanner_time_change = None;
     }
 }
 

@@ -1,10 +1,13 @@
 //! A robot in a furnished room whose wheels and scanner change while it drives.
 
-use hal::Pose2;
+use hal::{Pose2, wrap_angle};
+use nalgebra::Vector1;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 
 use super::*;
-use crate::localization::Localizer;
 use crate::localization::test_room::{TestRobot, round_trip};
+use crate::localization::{Estimate, Localizer};
 use crate::snapshot::State;
 
 /// Ticks until something changes: 24 m, 26 rotations by 45 degrees.
@@ -21,6 +24,8 @@ struct Drive {
     watch: CalibrationWatch,
     config: LocalizationConfig,
     changes: Vec<Change>,
+    /// The last scan.
+    scan: Option<MatchedScan>,
 }
 
 impl Drive {
@@ -28,21 +33,35 @@ impl Drive {
         let robot = TestRobot::in_room(seed);
         let config = LocalizationConfig::default();
         let localizer = Localizer::new(&config, robot.geometry, Pose2::IDENTITY).unwrap();
-        Self { robot, localizer, watch: CalibrationWatch::default(), config, changes: Vec::new() }
+        let watch = CalibrationWatch::default();
+        Self { robot, localizer, watch, config, changes: Vec::new(), scan: None }
     }
 
     fn step(&mut self, forward_m: f64, yaw_rad: f64) -> Option<DrivenLeg> {
         self.robot.step(forward_m, yaw_rad);
         let scan = self.robot.scan();
-        let Self { robot, localizer, watch, config, changes } = self;
+        let Self { robot, localizer, watch, config, changes, .. } = self;
         let input = Some((&scan, &robot.wheel));
         let estimate = localizer.update(&robot.wheel, robot.time_ns, input);
         if let Some(leg) = estimate.leg {
             watch.see_leg(&leg, config);
         }
+        let scan = matched_scan(robot, &estimate);
+        watch.see_scan(scan, config);
         changes.extend(watch.advance(&robot.wheel, robot.time_ns));
+        self.scan = scan;
         estimate.leg
     }
+}
+
+fn matched_scan(robot: &TestRobot, estimate: &Estimate) -> Option<MatchedScan> {
+    let by_scans = estimate.t_odom_base_at_scan.filter(|_| estimate.matched)?;
+    Some(MatchedScan {
+        time_ns: robot.time_ns,
+        by_wheels: robot.wheel,
+        by_scans,
+        yaw_rate_radps: estimate.twist.angular_radps,
+    })
 }
 
 /// Drives on in the room. `hit` changes the robot after [`CHANGE_AT`] ticks.
@@ -70,12 +89,17 @@ fn drive(seed: u64, ticks: usize, hit: Hit) -> Vec<Change> {
 
 /// The only change that is reported within 10 m is `what`, by `by` within `within`, at the right place.
 fn assert_found(hit: Hit, what: Watched, by: f64, within: f64) {
+    assert_found_since(hit, what, by, within, 2.0);
+}
+
+/// The same, with the place right within `since_m` metres.
+fn assert_found_since(hit: Hit, what: Watched, by: f64, within: f64, since_m: f64) {
     for seed in 0..3 {
         let changes = drive(seed, CHANGE_AT + TEN_METRES, hit);
         let [change] = changes.as_slice() else { panic!("seed {seed}: {changes:?}") };
         assert_eq!(change.what, what, "seed {seed}: {change:?}");
         assert!((change.by - by).abs() < within, "seed {seed}: {change:?}");
-        assert!((change.since_m - 24.0).abs() < 2.0, "seed {seed}: {change:?}");
+        assert!((change.since_m - 24.0).abs() < since_m, "seed {seed}: {change:?}");
     }
 }
 
@@ -95,6 +119,102 @@ fn a_wheel_that_has_changed_is_named() {
     // 1 % of one wheel, 0.24 m apart: the wheels report less yaw to the right, so that the robot turns more to the left.
     let flat: Hit = |robot| robot.drift_rad_per_m -= 0.0417;
     assert_found(flat, Watched::WheelHeading, 0.0417, 0.012);
+}
+
+#[test]
+fn a_scanner_whose_scans_come_later_is_named() {
+    // It shows where a rotation starts, which is every 1.2 m.
+    let late: Hit = |robot| robot.scan_late_s = 0.03;
+    assert_found_since(late, Watched::LidarLatency, 0.03, 0.008, 3.0);
+}
+
+/// The changes that a robot reports which rotates for a second and stands for a second, for `rotations` times. Scans are late by
+/// `scanner_s` and frames by `camera_s` after a third of them; `noise` is the error of the wheels' yaw in a tick, rad.
+fn changes_of_time(seed: u64, scanner_s: f64, camera_s: f64, noise: f64) -> Vec<Change> {
+    const ROTATIONS: u64 = 300;
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    let mut error = |size: f64| size * random.random_range(-1.7..1.7);
+    let mut watch = CalibrationWatch::default();
+    let config = LocalizationConfig::default();
+    let mut truth_rad: f64 = 0.0;
+    let mut wheels_rad: f64 = 0.0;
+    let mut rate_before = 0.0;
+    let mut changes = Vec::new();
+    for tick in 0..20 * ROTATIONS {
+        let has_changed = tick > 20 * ROTATIONS / 3;
+        let [scanner_s, camera_s] =
+            [scanner_s, camera_s].map(|s| if has_changed { s } else { 0.0 });
+        let rate = [0.0, 0.7][(tick / 10 % 2) as usize];
+        truth_rad += 0.1 * rate;
+        wheels_rad += 0.1 * rate + if rate > 0.0 { error(noise) } else { 0.0 };
+        let scan = MatchedScan {
+            time_ns: tick * 100_000_000,
+            by_wheels: Pose2::new(0.0, 0.0, wrap_angle(wheels_rad)),
+            by_scans: Pose2::new(0.0, 0.0, wrap_angle(truth_rad - scanner_s * rate + error(0.001))),
+            yaw_rate_radps: rate,
+        };
+        watch.see_scan(Some(scan), &config);
+        let change_radps = rate - rate_before;
+        if rotation_starts_or_stops(rate_before, rate) {
+            let late_s = camera_s - scanner_s;
+            let yaw_error_rad = -late_s * change_radps + error(0.001);
+            let factor = Vector1::new(-change_radps);
+            watch.see_latency(&Sums::of(factor, yaw_error_rad, 0.003_f64.powi(2)));
+        }
+        rate_before = rate;
+        changes.extend(watch.advance(&scan.by_wheels, scan.time_ns));
+    }
+    changes
+}
+
+#[test]
+fn late_scans_are_not_taken_for_early_frames() {
+    for seed in 0..20 {
+        let changes = changes_of_time(seed, 0.01, 0.0, 0.005);
+        let [change] = changes.as_slice() else { panic!("seed {seed}: {changes:?}") };
+        assert_eq!(change.what, Watched::LidarLatency, "seed {seed}: {change:?}");
+        assert!((change.by - 0.01).abs() < 0.005, "seed {seed}: {change:?}");
+    }
+}
+
+#[test]
+fn late_frames_are_those_of_the_camera() {
+    for seed in 0..20 {
+        let changes = changes_of_time(seed, 0.0, 0.01, 0.005);
+        let [change] = changes.as_slice() else { panic!("seed {seed}: {changes:?}") };
+        assert_eq!(change.what, Watched::CameraLatency, "seed {seed}: {change:?}");
+        assert!((change.by - 0.01).abs() < 0.005, "seed {seed}: {change:?}");
+    }
+}
+
+#[test]
+fn without_a_change_no_time_stamp_is_reported_however_noisy_the_wheels_are() {
+    for seed in 0..20 {
+        for noise in [0.0, 0.005, 0.02] {
+            assert_eq!(changes_of_time(seed, 0.0, 0.0, noise), [], "seed {seed}, {noise} rad");
+        }
+    }
+}
+
+#[test]
+fn scans_that_did_not_fit_say_nothing_of_the_latency() {
+    let config = LocalizationConfig::default();
+    let at = |tick: u64, yaw_rad: f64, yaw_rate_radps: f64| MatchedScan {
+        time_ns: tick * 100_000_000,
+        by_wheels: Pose2::IDENTITY,
+        by_scans: Pose2::new(0.0, 0.0, yaw_rad),
+        yaw_rate_radps,
+    };
+    let said = |scans: &[Option<MatchedScan>]| {
+        let mut watch = CalibrationWatch::default();
+        scans.iter().for_each(|scan| watch.see_scan(*scan, &config));
+        watch.measured().find(|measured| measured.what == Watched::LidarLatency).unwrap().value
+    };
+    let before = Some(at(0, 0.0, 0.0));
+    assert!(said(&[before, Some(at(1, 0.01, 0.7))]) < -0.001);
+    assert!(said(&[before, None, Some(at(2, 0.01, 0.7))]).abs() < f64::EPSILON);
+    assert!(said(&[before, Some(at(3, 0.01, 0.7))]).abs() < f64::EPSILON, "too long ago");
+    assert!(said(&[before, Some(at(1, 0.01, 0.05))]).abs() < f64::EPSILON, "no rotation");
 }
 
 #[test]
@@ -121,9 +241,14 @@ fn a_second_watch_goes_on_from_a_snapshot_to_the_bit() {
     for (tick, (forward_m, yaw_rad)) in round_trip(900).enumerate() {
         let leg = drive.step(forward_m, yaw_rad);
         if tick == 700 {
-            State::read(&mut second, &mut bytes_of(&drive.watch).as_slice()).unwrap();
+            let bytes = bytes_of(&drive.watch);
+            let mut from = bytes.as_slice();
+            State::read(&mut second, &mut from).unwrap();
+            second.read_scanner_time(&mut from).unwrap();
+            assert!(from.is_empty());
         } else if tick > 700 {
             leg.iter().for_each(|leg| second.see_leg(leg, &drive.config));
+            second.see_scan(drive.scan, &drive.config);
             second.advance(&drive.robot.wheel, drive.robot.time_ns);
         }
     }
@@ -133,5 +258,6 @@ fn a_second_watch_goes_on_from_a_snapshot_to_the_bit() {
 fn bytes_of(watch: &CalibrationWatch) -> Vec<u8> {
     let mut bytes = Vec::new();
     watch.write(&mut bytes);
+    watch.write_scanner_time(&mut bytes);
     bytes
 }

@@ -58,6 +58,8 @@ pub(crate) struct TestRobot {
     /// Where the scanner really is.
     pub t_base_laser: Pose2,
     pub range_noise_m: f64,
+    /// Time by which scans are stamped late, s: less than that of a step.
+    pub scan_late_s: f64,
     /// What the gyroscope reports, radians; it rotates at 0.02 rad/s while it stands, and by 1 % too much.
     gyro_rad: f64,
     /// The motion of the current step.
@@ -80,6 +82,7 @@ impl TestRobot {
             drift_rad_per_m: 0.03,
             t_base_laser: Pose2::IDENTITY,
             range_noise_m: 0.02,
+            scan_late_s: 0.0,
             gyro_rad: 0.0,
             motion: Pose2::IDENTITY,
             rng: Pcg64Mcg::seed_from_u64(seed),
@@ -118,13 +121,14 @@ impl TestRobot {
         ImuInput { gaps: 0, yaw_rad: self.gyro_rad, yaw_at_scan_rad: self.gyro_rad, tilt_rad: None }
     }
 
-    /// A scan whose middle is now, of beams that are spread over the revolution while the robot moves as in the last step.
+    /// A scan whose middle is said to be now, of beams that are spread over the revolution while the robot moves as in the last step.
     pub(crate) fn scan(&mut self) -> LaserScan {
         let geometry = self.geometry;
         let mut scan = LaserScan::empty(geometry);
         scan.time_ns = self.time_ns - geometry.period_ns / 2;
         for beam in 0..geometry.beams {
-            let after = geometry.after_middle_s(beam) * 1e9 / STEP_NS as f64;
+            let after_s = geometry.after_middle_s(beam) - self.scan_late_s;
+            let after = after_s * 1e9 / STEP_NS as f64;
             let moved = Pose2::new(self.motion.x_m * after, 0.0, self.motion.yaw_rad * after);
             let pose = self.truth.compose(&moved).compose(&self.t_base_laser);
             let exact =

@@ -53,6 +53,9 @@ fn by_how_much(what: Watched, by: f64) -> String {
         Watched::CameraLatency => {
             format!("frames come {size} {}", direction(by, "later", "earlier"))
         }
+        Watched::LidarLatency => {
+            format!("scans come {size} {}", direction(by, "later", "earlier"))
+        }
     }
 }
 
@@ -66,7 +69,7 @@ fn size(what: Watched, value: f64) -> String {
         Watched::WheelHeading => format!("{:.1} degrees/m", value.to_degrees()),
         Watched::WheelTrack | Watched::WheelDistance => format!("{:.1} %", 100.0 * value),
         Watched::LidarForward | Watched::LidarLeft => format!("{:.0} mm", 1000.0 * value),
-        Watched::CameraLatency => format!("{:.0} ms", 1000.0 * value),
+        Watched::CameraLatency | Watched::LidarLatency => format!("{:.0} ms", 1000.0 * value),
         _ => format!("{:.1} degrees", value.to_degrees()),
     }
 }

@@ -9,7 +9,7 @@ use hal::{Pose2, Twist2};
 use nalgebra::Vector1;
 use serde::{Deserialize, Serialize};
 
-use crate::calibration_watch::Sums;
+use crate::calibration_watch::{Sums, rotation_starts_or_stops};
 use crate::perception::YawError;
 
 /// Latency that is expected before any frame: within 20 ms of the stamp, as a standard deviation.
@@ -26,11 +26,6 @@ const GATE: f64 = 4.0;
 const LARGEST_S: f64 = 0.15;
 /// Frames further apart overlap too little, seconds.
 const LONGEST_GAP_S: f64 = 0.25;
-
-/// A robot rotates less than this when it does not rotate, and more than [`ROTATES_RADPS`] when it does, rad/s. Of the wheels' noise in
-/// 10 ms the simulated robot has 0.02 rad/s without a rotation and 0.2 rad/s in one of 1 rad/s.
-const RESTS_RADPS: f64 = 0.1;
-const ROTATES_RADPS: f64 = 0.25;
 
 /// The estimate, and what it remembers of the frame before.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
@@ -75,8 +70,7 @@ impl CameraTime {
 
     /// Learns from a frame whose pose came from [`at_exposure`](Self::at_exposure). `yaw_error` is what image motion says of
     /// the yaw since the frame before; `None` when it says nothing. Returns what the frame says of the latency, in seconds, if a
-    /// rotation starts or stops. Within a rotation the yaw rate changes only by the wheels' noise, which also makes their yaw
-    /// wrong: that seems to be a latency of the time between two of their reports.
+    /// rotation starts or stops.
     pub(super) fn observe(
         &mut self,
         time_ns: u64,
@@ -101,7 +95,7 @@ impl CameraTime {
         let yaw_rad = yaw_rate_radps.abs().max(before.yaw_rate_radps.abs()) * passed_s;
         let noise_rad2 =
             error.variance_rad2 + HEADING_ERROR_RAD.powi(2) + (HEADING_ERROR * yaw_rad).powi(2);
-        let said = starts_or_stops(yaw_rate_radps, before.yaw_rate_radps)
+        let said = rotation_starts_or_stops(before.yaw_rate_radps, yaw_rate_radps)
             .then(|| Sums::of(Vector1::new(-change_radps), uncorrected_rad, noise_rad2));
         let total_rad2 = self.variance_s2 * change_radps * change_radps + noise_rad2;
         if innovation_rad * innovation_rad > GATE * GATE * total_rad2 {
@@ -112,12 +106,6 @@ impl CameraTime {
         self.variance_s2 *= noise_rad2 / total_rad2;
         said
     }
-}
-
-/// Whether one of two yaw rates is that of a robot that rotates, and the other is not.
-fn starts_or_stops(now_radps: f64, before_radps: f64) -> bool {
-    let [now, before] = [now_radps, before_radps].map(f64::abs);
-    now.min(before) < RESTS_RADPS && now.max(before) > ROTATES_RADPS
 }
 
 #[cfg(test)]

@@ -58,6 +58,8 @@ pub(super) struct Located {
     pub gyro_refused: bool,
     /// The stretch of the drive that this tick's scan ended, if it ended one.
     pub leg: Option<DrivenLeg>,
+    /// `t_odom_base` at this tick's scan, if the scan fits.
+    pub matched_scan: Option<Pose2>,
 }
 
 impl Located {
@@ -75,6 +77,7 @@ impl Located {
             wheel_error: None,
             gyro_refused: false,
             leg: None,
+            matched_scan: None,
         }
     }
 }
@@ -126,6 +129,7 @@ impl Location {
             wheel_error: estimate.wheel_error,
             gyro_refused: estimate.gyro_refused,
             leg: estimate.leg,
+            matched_scan: estimate.t_odom_base_at_scan.filter(|_| estimate.matched),
         }
     }
 

@@ -26,7 +26,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
-use crate::calibration_watch::CalibrationWatch;
+use crate::calibration_watch::{CalibrationWatch, MatchedScan};
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{Explorer, Observations};
 use crate::localization::{Gyroscope, LocalizationError, Whereabouts};
@@ -38,7 +38,10 @@ use crate::perception::{
 use crate::planning::{ConfigError, Primitive};
 use crate::recording::input_digest;
 use crate::safety::SentCommand;
-use crate::snapshot::{SNAPSHOT_VERSION, SNAPSHOT_WITHOUT_IMU, SnapshotError, State, remembers};
+use crate::snapshot::{
+    SNAPSHOT_VERSION, SNAPSHOT_WITHOUT_IMU, SNAPSHOT_WITHOUT_SCANNER_TIME, SnapshotError, State,
+    remembers,
+};
 use crate::tick::{Decision, SafetyReport, TickInput};
 use camera_time::CameraTime;
 use location::Location;
@@ -285,6 +288,7 @@ impl Robot {
         }
         self.location.write_gyro(&mut bytes);
         self.tilt.write(&mut bytes);
+        self.watch.write_scanner_time(&mut bytes);
         bytes
     }
 
@@ -313,6 +317,11 @@ impl Robot {
             self.tilt.read(&mut from)?;
         } else {
             self.tilt = Tilt::default();
+        }
+        if version > SNAPSHOT_WITHOUT_SCANNER_TIME {
+            self.watch.read_scanner_time(&mut from)?;
+        } else {
+            self.watch.forget_scanner_time();
         }
         match from.len() {
             0 => Ok(()),
@@ -717,8 +726,18 @@ impl Robot {
         let located = self.location.update(&self.wheel_frame.apply(&corrected), scan);
         self.poses = located.poses;
         // What another program's poses have corrected is not what the wheels say.
-        if let Some(leg) = located.leg.filter(|_| corrected.wheel.odom == input.wheel.odom) {
+        let by_wheels = corrected.wheel.odom == input.wheel.odom;
+        if let Some(leg) = located.leg.filter(|_| by_wheels) {
             self.watch.see_leg(&leg, &self.config.localization);
+        }
+        if let Some(scan) = scan {
+            let matched = located.matched_scan.filter(|_| by_wheels).map(|by_scans| MatchedScan {
+                time_ns: scan.middle_ns(),
+                by_wheels: input.scan_odom,
+                by_scans,
+                yaw_rate_radps: located.twist.angular_radps,
+            });
+            self.watch.see_scan(matched, &self.config.localization);
         }
         if self.config.localization.estimate_camera_latency {
             self.poses.t_odom_base_at_frame =
@@ -806,7 +825,8 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(u32, Option<String>, &[u8]), Snaps
     let mut version = [0_u8; 4];
     version.iter_mut().try_for_each(|byte| byte.read(&mut from))?;
     let found = u32::from_le_bytes(version);
-    if ![SNAPSHOT_WITHOUT_IMU, SNAPSHOT_VERSION].contains(&found) {
+    let known = [SNAPSHOT_WITHOUT_IMU, SNAPSHOT_WITHOUT_SCANNER_TIME, SNAPSHOT_VERSION];
+    if !known.contains(&found) {
         return Err(SnapshotError::Version { found });
     }
     let mut network = None;

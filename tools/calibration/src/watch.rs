@@ -32,7 +32,7 @@ struct Disturbance {
     apply: fn(&mut TruthSection),
 }
 
-const DISTURBANCES: [Disturbance; 7] = [
+const DISTURBANCES: [Disturbance; 8] = [
     Disturbance {
         name: "one wheel 1 %",
         what: Watched::WheelHeading,
@@ -74,6 +74,12 @@ const DISTURBANCES: [Disturbance; 7] = [
         what: Watched::CameraLatency,
         needs_frames: true,
         apply: |truth| truth.camera_late_s = 0.01,
+    },
+    Disturbance {
+        name: "LiDAR latency 10 ms",
+        what: Watched::LidarLatency,
+        needs_frames: true,
+        apply: |truth| truth.lidar_late_s = 0.01,
     },
 ];
 
