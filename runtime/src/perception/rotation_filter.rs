@@ -412,49 +412,99 @@ mod tests {
 
     /// Errors of the filtered rotations of 80 frames, with true depth and flow.
     fn travel(error: Error) -> Vec<Vector3<f64>> {
-        let camera = camera();
-        let cells = camera.resized(160, 48);
-        let mut image = CensusImage::default();
-        image.width = 640;
-        image.height = 192;
-        image.descriptors = vec![1; 640 * 192];
-        let confidence = vec![1.0; 160 * 48];
+        let image = textured();
         let mut filter = RotationFilter::default();
         let mut beliefs = vec![Belief::default(); 160 * 48];
         let mut errors = Vec::new();
         for index in 0..80_usize {
             let now = path(index);
-            let before = path(index.saturating_sub(1));
-            let mut flow = FlowField::zero(640, 192);
-            for (at, flow) in flow.values_mut().iter_mut().enumerate() {
-                let u = (at % 640) as f64;
-                let v = (at / 640) as f64;
-                let point = now * camera.unproject(u, v, depth(&camera, &now, u, v));
-                let (x, y) = camera.project(&before.inverse_transform_point(&point)).unwrap();
-                *flow = [(x - u) as f32, (y - v) as f32];
-            }
             let measured = now * UnitQuaternion::from_scaled_axis(error(index));
-            let observed = FlowObservation { flow: &flow, image: &image, camera: &camera };
-            let prior = DepthPrior {
-                beliefs: &beliefs,
-                confidence: &confidence,
-                cells: &cells,
-                scene_depth_m: 2.0,
-            };
-            let found = filter.update(&measured, observed, prior);
+            let flow = true_flow(index);
+            let found = update(&mut filter, &measured, &flow, &image, &beliefs);
             assert_eq!(found.translation, measured.translation);
             errors.push((now.rotation.inverse() * found.rotation).scaled_axis());
-            for (at, belief) in beliefs.iter_mut().enumerate() {
-                let depth = depth(&cells, &now, (at % 160) as f64, (at / 160) as f64);
-                *belief = Belief {
-                    inverse_depth: (1.0 / depth) as f32,
-                    evidence: 1.0,
-                    votes: 1.0,
-                    offset: [0.0; 2],
-                };
-            }
+            beliefs = true_beliefs(&now);
         }
         errors
+    }
+
+    /// An image with texture in all of its pixels.
+    fn textured() -> CensusImage {
+        let mut image = CensusImage::default();
+        image.width = 640;
+        image.height = 192;
+        image.descriptors = vec![1; 640 * 192];
+        image
+    }
+
+    fn update(
+        filter: &mut RotationFilter,
+        measured: &Pose3,
+        flow: &FlowField,
+        image: &CensusImage,
+        beliefs: &[Belief],
+    ) -> Pose3 {
+        let cells = camera().resized(160, 48);
+        let confidence = [1.0; 160 * 48];
+        let observed = FlowObservation { flow, image, camera: &camera() };
+        let prior =
+            DepthPrior { beliefs, confidence: &confidence, cells: &cells, scene_depth_m: 2.0 };
+        filter.update(measured, observed, prior)
+    }
+
+    fn true_flow(index: usize) -> FlowField {
+        let camera = camera();
+        let now = path(index);
+        let before = path(index.saturating_sub(1));
+        let mut flow = FlowField::zero(640, 192);
+        for (at, flow) in flow.values_mut().iter_mut().enumerate() {
+            let u = (at % 640) as f64;
+            let v = (at / 640) as f64;
+            let point = now * camera.unproject(u, v, depth(&camera, &now, u, v));
+            let (x, y) = camera.project(&before.inverse_transform_point(&point)).unwrap();
+            *flow = [(x - u) as f32, (y - v) as f32];
+        }
+        flow
+    }
+
+    fn true_beliefs(now: &Pose3) -> Vec<Belief> {
+        let cells = camera().resized(160, 48);
+        let belief = |at: usize| {
+            let depth = depth(&cells, now, (at % 160) as f64, (at / 160) as f64);
+            let inverse_depth = (1.0 / depth) as f32;
+            Belief { inverse_depth, evidence: 1.0, votes: 1.0, offset: [0.0; 2] }
+        };
+        (0..160 * 48).map(belief).collect()
+    }
+
+    /// Whether an image says something of the camera's mount. In the first of its columns, as a share of all, `change` makes the flow
+    /// or the texture wrong.
+    fn says_something(share: f64, change: fn(&mut [f32; 2], &mut u32)) -> bool {
+        let mut filter = RotationFilter::default();
+        let mut image = textured();
+        update(&mut filter, &path(0), &true_flow(0), &image, &true_beliefs(&path(0)));
+        let mut flow = true_flow(1);
+        for (at, flow) in flow.values_mut().iter_mut().enumerate() {
+            if ((at % 640) as f64) < share * 640.0 {
+                change(flow, &mut image.descriptors[at]);
+            }
+        }
+        update(&mut filter, &path(1), &flow, &image, &true_beliefs(&path(0)));
+        filter.mount().is_some()
+    }
+
+    #[test]
+    fn an_image_whose_flow_does_not_agree_on_one_motion_says_nothing_of_the_mount() {
+        let is_wrong = |flow: &mut [f32; 2], _: &mut u32| flow[1] += 6.0;
+        assert!(says_something(0.0, is_wrong));
+        assert!(says_something(0.3, is_wrong));
+        assert!(!says_something(0.7, |flow, _| *flow = [flow[1] * 20.0, flow[0] * 20.0]));
+    }
+
+    #[test]
+    fn an_image_that_is_mostly_without_texture_says_nothing_of_the_mount() {
+        assert!(says_something(0.3, |_, texture| *texture = 0));
+        assert!(!says_something(0.7, |_, texture| *texture = 0));
     }
 
     /// Root mean square change of the errors over ten frames, after the jitter has been measured.
