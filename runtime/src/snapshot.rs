@@ -9,8 +9,8 @@ use serde::de::DeserializeOwned;
 
 /// Increased whenever the layout of anything remembered changes. Old snapshots are then refused; recordings stay readable.
 pub const SNAPSHOT_VERSION: u32 = 13;
-/// The layout before, which lacks only what the robot knows of the scanner's latency at its end. It is read as that of a robot that
-/// knows nothing of it.
+/// The layout before, which lacks only what the robot knows of the scanner's latency and of the camera's first mount at its end. It is
+/// read as that of a robot that knows nothing of them.
 pub const SNAPSHOT_WITHOUT_SCANNER_TIME: u32 = 12;
 /// The layout before that, which also lacks the memory of the inertial unit. It is read as that of a robot without a unit.
 pub const SNAPSHOT_WITHOUT_IMU: u32 = 11;

@@ -59,6 +59,8 @@ pub enum Manner {
     AtOnce,
     /// Little by little: wear, air pressure, temperature.
     Slowly,
+    /// A change that was reported before is not confirmed by what came after it.
+    Withdrawn,
 }
 
 /// Where a block of the drive began.
@@ -223,6 +225,25 @@ impl<const N: usize> ChangeTest<N> {
         })?;
         let (begin, index, by, sigma) = found;
         Some(Found { index, by, sigma, begin, manner: self.manner(index, by, begin, limits) })
+    }
+
+    /// The parameters at the beginning of the run, or since the last change, and their standard deviations; `None` while they are not
+    /// known.
+    pub(crate) fn known(&self, limits: &Limits<N>) -> Option<[[f64; N]; 2]> {
+        let is_known = self.reference_blocks >= LEAST_REFERENCE;
+        is_known.then(|| self.values(&self.reference, limits)).flatten()
+    }
+
+    /// The parameters before `begin`, and their standard deviations.
+    pub(crate) fn known_before(&self, begin: Begin, limits: &Limits<N>) -> Option<[[f64; N]; 2]> {
+        let first = self.window.iter().position(|block| block.begin.time_ns >= begin.time_ns)?;
+        self.values(&self.before(first).0, limits)
+    }
+
+    fn values(&self, equations: &Sums<N>, limits: &Limits<N>) -> Option<[[f64; N]; 2]> {
+        let (values, covariance) = equations.solve(&SVector::from(limits.expected))?;
+        let sigma = |index| self.noise(index, limits) * covariance[(index, index)].sqrt();
+        Some([values.into(), std::array::from_fn(sigma)])
     }
 
     /// The change of a parameter since `begin`, and its standard deviation; `None` if the beginning of the run is not known yet, or

@@ -186,11 +186,13 @@ pub struct CalibrationWatch {
     /// The last change of each parameter, without that of the scanner's latency.
     changes: [Option<Change>; FIRST_WATCHED],
     scanner_time_change: Option<Change>,
+    /// The camera's mount before its first change, with its standard deviations, rad.
+    camera_before: Option<[[f64; 3]; 2]>,
     /// Sums of the changes of the camera's pitch, yaw and roll, rad.
     camera_turned: [f64; 3],
 }
 
-// Not the scanner's latency, which snapshots of layout 12 and before do not have.
+// Not the scanner's latency and the camera's first mount, which snapshots of layout 12 and before do not have.
 remembers!(CalibrationWatch: wheels, lidar, camera, latency, last_odom, driven_m, rolled_m, begin, changes, camera_turned);
 
 impl CalibrationWatch {
@@ -263,9 +265,10 @@ impl CalibrationWatch {
         let next = Begin { driven_m: self.driven_m, time_ns };
         let begin = std::mem::replace(&mut self.begin, next);
         let change = self.end_block(begin)?;
+        let holds = Some(change).filter(|change| change.manner != Manner::Withdrawn);
         match self.changes.get_mut(change.what as usize) {
-            Some(last) => *last = Some(change),
-            None => self.scanner_time_change = Some(change),
+            Some(last) => *last = holds,
+            None => self.scanner_time_change = holds,
         }
         Some(change)
     }
@@ -279,6 +282,7 @@ impl CalibrationWatch {
         if let Some(found) = self.lidar.find(&LIDAR) {
             self.lidar.restart();
             self.camera.restart();
+            self.camera_before = None;
             return Some(change(&found, &LIDAR_PARTS));
         }
         if let Some(found) = self.wheels.find(&WHEELS) {
@@ -288,11 +292,41 @@ impl CalibrationWatch {
         if self.lidar.suspicion(0, &LIDAR) < SUSPECTED
             && let Some(found) = self.camera.find(&CAMERA)
         {
+            if self.camera_before.is_none() {
+                self.camera_before = self.camera.known_before(found.begin, &CAMERA);
+            }
             self.camera.restart();
             self.camera_turned[found.index] += found.by;
             return Some(change(&found, &CAMERA_PARTS));
         }
-        self.find_latency()
+        self.find_latency().or_else(|| self.confirm_camera(begin))
+    }
+
+    /// Compares the camera with its mount before its first change, as soon as enough blocks came after the last one. It was not turned,
+    /// or was turned back, if it is there: what was reported is withdrawn, so that one wrong report does not keep the camera's depth
+    /// out of the map for the rest of the run. Else it is turned by what is measured now, because a large change is first reported as
+    /// smaller than it is.
+    fn confirm_camera(&mut self, begin: Begin) -> Option<Change> {
+        let [before, before_sigma] = self.camera_before?;
+        let [now, sigma] = self.camera.known(&CAMERA)?;
+        for (index, turned) in self.camera_turned.iter_mut().enumerate() {
+            let still = now[index] - before[index];
+            let still_sigma = sigma[index].hypot(before_sigma[index]);
+            let half = 0.5 * turned.abs();
+            if (half - still.abs()).abs() < SUSPECTED * still_sigma || half < f64::EPSILON {
+                continue;
+            }
+            if still.abs() > half {
+                *turned = still;
+                continue;
+            }
+            let by = still - std::mem::take(turned);
+            let Begin { driven_m: since_m, time_ns: since_ns } = begin;
+            let what = CAMERA_PARTS[index];
+            let manner = Manner::Withdrawn;
+            return Some(Change { what, by, sigma: still_sigma, since_m, since_ns, manner });
+        }
+        None
     }
 
     /// A change of the time stamps. The camera is compared with the scans, and the wheels say which of both has changed.
@@ -316,22 +350,25 @@ impl CalibrationWatch {
         change(found, &[Watched::LidarLatency])
     }
 
-    /// The part of the memory that belongs to the scanner's latency.
-    pub(crate) fn write_scanner_time(&self, to: &mut Vec<u8>) {
+    /// The part of the memory that snapshots of layout 12 and before do not have.
+    pub(crate) fn write_newer(&self, to: &mut Vec<u8>) {
         self.scanner_time.write(to);
         self.scanner_time_change.write(to);
+        self.camera_before.write(to);
     }
 
-    /// Restores what [`write_scanner_time`](Self::write_scanner_time) wrote.
-    pub(crate) fn read_scanner_time(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+    /// Restores what [`write_newer`](Self::write_newer) wrote.
+    pub(crate) fn read_newer(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
         self.scanner_time.read(from)?;
-        self.scanner_time_change.read(from)
+        self.scanner_time_change.read(from)?;
+        self.camera_before.read(from)
     }
 
-    /// Nothing is known of the scanner's latency: the snapshot that was read does not have it.
-    pub(crate) fn forget_scanner_time(&mut self) {
+    /// Nothing is known of this part: the snapshot that was read does not have it.
+    pub(crate) fn forget_newer(&mut self) {
         self.scanner_time = ScannerTime::default();
         self.scanner_time_change = None;
+        self.camera_before = None;
     }
 }
 

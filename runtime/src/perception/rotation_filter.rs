@@ -445,7 +445,7 @@ mod tests {
         beliefs: &[Belief],
     ) -> Pose3 {
         let cells = camera().resized(160, 48);
-        let confidence = [1.0; 160 * 48];
+        let confidence = vec![1.0; 160 * 48];
         let observed = FlowObservation { flow, image, camera: &camera() };
         let prior =
             DepthPrior { beliefs, confidence: &confidence, cells: &cells, scene_depth_m: 2.0 };

@@ -9,9 +9,19 @@ pub fn changed(change: &Change) -> String {
     let manner = match manner {
         Manner::AtOnce => "at once",
         Manner::Slowly => "little by little",
+        Manner::Withdrawn => return withdrawn(change),
     };
     format!(
         "calibration changed {manner} after {since_m:.0} m of this run: {} (+- {})",
+        by_how_much(*what, *by),
+        size(*what, *sigma)
+    )
+}
+
+fn withdrawn(change: &Change) -> String {
+    let Change { what, by, sigma, since_m, .. } = change;
+    format!(
+        "a reported change of the calibration is withdrawn after {since_m:.0} m of this run: since then, {} (+- {})",
         by_how_much(*what, *by),
         size(*what, *sigma)
     )

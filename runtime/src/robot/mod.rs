@@ -288,7 +288,7 @@ impl Robot {
         }
         self.location.write_gyro(&mut bytes);
         self.tilt.write(&mut bytes);
-        self.watch.write_scanner_time(&mut bytes);
+        self.watch.write_newer(&mut bytes);
         bytes
     }
 
@@ -319,9 +319,9 @@ impl Robot {
             self.tilt = Tilt::default();
         }
         if version > SNAPSHOT_WITHOUT_SCANNER_TIME {
-            self.watch.read_scanner_time(&mut from)?;
+            self.watch.read_newer(&mut from)?;
         } else {
-            self.watch.forget_scanner_time();
+            self.watch.forget_newer();
         }
         match from.len() {
             0 => Ok(()),
