@@ -121,3 +121,79 @@ impl FrameMatcher {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WIDTH: usize = 320;
+    const HEIGHT: usize = 96;
+
+    /// Squares of random brightness, seen by a camera that has panned by `shift` pixels.
+    fn squares(shift: usize) -> RgbImage {
+        let brightness = |index: usize| {
+            let square = ((index % WIDTH + shift) / 6 + 977 * (index / WIDTH / 6)) as u64 + 1;
+            (square.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 56) as u8
+        };
+        let rgb = (0..WIDTH * HEIGHT).flat_map(|index| [brightness(index); 3]).collect();
+        RgbImage { width: WIDTH, height: HEIGHT, rgb }
+    }
+
+    /// The times between which points were followed, for frames at these poses, 0.1 s apart.
+    fn pairs(poses: impl IntoIterator<Item = Pose2>) -> Vec<[f64; 2]> {
+        let camera = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
+        let mut matcher = FrameMatcher::new(&camera).unwrap();
+        for (index, pose) in poses.into_iter().enumerate() {
+            matcher.see(0.1 * index as f64, &pose, &squares(index)).unwrap();
+        }
+        matcher.pairs.iter().map(|pair| [pair.from_s, pair.to_s]).collect()
+    }
+
+    /// Lengths of the pairs in frames.
+    fn lengths(pairs: &[[f64; 2]]) -> Vec<i64> {
+        pairs.iter().map(|[from_s, to_s]| ((to_s - from_s) / 0.1).round() as i64).collect()
+    }
+
+    #[test]
+    fn a_pair_on_a_straight_line_is_0_3_m_long() {
+        let line = pairs((0..20).map(|index| Pose2::new(0.0501 * f64::from(index), 0.0, 0.0)));
+        assert_eq!(lengths(&line), [6, 6, 6]);
+    }
+
+    #[test]
+    fn a_pair_of_a_rotation_on_the_spot_is_half_as_long_as_that_of_an_arc() {
+        let spot = pairs((0..25).map(|index| Pose2::new(0.0, 0.0, 0.0201 * f64::from(index))));
+        assert_eq!(lengths(&spot), [3; 8]);
+        let arc = pairs((0..25).map(|index| {
+            let index = f64::from(index);
+            Pose2::new(0.01 * index, 0.0, 0.0201 * index)
+        }));
+        assert_eq!(lengths(&arc), [6; 4]);
+    }
+
+    #[test]
+    fn a_pair_does_not_last_over_a_stop() {
+        let stops = (0..40).map(|index| match index {
+            0..4 => Pose2::new(0.0501 * f64::from(index), 0.0, 0.0),
+            4..30 => Pose2::new(0.0501 * 4.0, 0.0, 0.0),
+            _ => Pose2::new(0.0501 * f64::from(index - 25), 0.0, 0.0),
+        });
+        let all = pairs(stops);
+        assert!(all.iter().all(|[from_s, to_s]| to_s - from_s <= LONGEST_S), "{all:?}");
+        assert!(all.iter().all(|[from_s, _]| *from_s >= 2.0), "{all:?}");
+        assert!(!all.is_empty());
+    }
+
+    #[test]
+    fn points_are_followed_to_where_the_image_moved() {
+        let camera = CameraModel::pinhole(WIDTH, HEIGHT, std::f64::consts::FRAC_PI_2);
+        let mut matcher = FrameMatcher::new(&camera).unwrap();
+        matcher.see(0.0, &Pose2::IDENTITY, &squares(0)).unwrap();
+        matcher.see(0.1, &Pose2::new(0.4, 0.0, 0.0), &squares(3)).unwrap();
+        let [pair] = matcher.pairs.as_slice() else { panic!("{}", matcher.pairs.len()) };
+        for Match { from, to } in &pair.matches {
+            let off = [to[0] - from[0] + 3.0, to[1] - from[1]];
+            assert!(off[0].hypot(off[1]) < 0.1, "{from:?} {to:?}");
+        }
+    }
+}
