@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::calibration_watch::Change;
+use crate::calibration_watch::{Change, Withdrawal};
 use crate::localization::{LostReason, WheelError};
 use crate::operator::OperatorOrder;
 use crate::perception::NoDepth;
@@ -74,6 +74,11 @@ pub enum Event {
     CalibrationChanged {
         /// What has changed, by how much and since when.
         change: Change,
+    },
+    /// A change that was reported is not confirmed by what followed, or was undone.
+    CalibrationChangeWithdrawn {
+        /// Of what, and how far it is from its value before.
+        withdrawal: Withdrawal,
     },
     /// The program that sent poses has sent none for a second; the wheels give the pose. It comes once until the next pose.
     OutsidePosesSilent,

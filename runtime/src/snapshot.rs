@@ -7,10 +7,11 @@
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Increased whenever the layout of anything remembered changes. Old snapshots are then refused; recordings stay readable.
+/// Increased whenever the layout of anything remembered changes. Snapshots of other layouts than the three here are refused;
+/// recordings stay readable.
 pub const SNAPSHOT_VERSION: u32 = 13;
-/// The layout before, which lacks only what the robot knows of the scanner's latency and of the camera's first mount at its end. It is
-/// read as that of a robot that knows nothing of them.
+/// The layout before, which lacks only what the robot knows of the scanner's latency and of the camera before it was turned, at its
+/// end. It is read as that of a robot that knows nothing of them, which finds a change of them later than the robot that wrote it.
 pub const SNAPSHOT_WITHOUT_SCANNER_TIME: u32 = 12;
 /// The layout before that, which also lacks the memory of the inertial unit. It is read as that of a robot without a unit.
 pub const SNAPSHOT_WITHOUT_IMU: u32 = 11;

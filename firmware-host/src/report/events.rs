@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use runtime::calibration_watch::Manner;
 use runtime::event::{Event, SafetyEvent};
 use serde::{Deserialize, Serialize};
 
@@ -90,7 +89,7 @@ impl EventCounts {
             Event::NoDepth { why } => count(&mut self.no_depth, why),
             Event::Lost { why } => count(&mut self.lost, why),
             Event::WheelsContradicted { how } => count(&mut self.wheels_contradicted, how),
-            Event::CalibrationChanged { change } if change.manner != Manner::Withdrawn => {
+            Event::CalibrationChanged { change } => {
                 count(&mut self.calibration_changed, &change.what);
             }
             Event::InputRefused { why } => count(&mut self.refused_inputs, why),

@@ -216,6 +216,7 @@ impl RunLog {
                     | Event::GyroscopeRefused
                     | Event::WheelsContradicted { .. }
                     | Event::CalibrationChanged { .. }
+                    | Event::CalibrationChangeWithdrawn { .. }
             ) {
                 tracing::warn!("{}", sentence(event).1);
             }

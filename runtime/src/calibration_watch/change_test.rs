@@ -33,6 +33,8 @@ const NOISE_PRIOR: f64 = 4.0;
 const LEAST_NOISE_BLOCKS: f64 = 16.0;
 /// Of what came between the beginning of the run and the window, this share remains with the next block.
 const MIDDLE_MEMORY: f64 = 0.95;
+/// Equations with less information than this many times the expected one say little of a parameter.
+const LEAST_SAID: f64 = 3.0;
 /// A change of which this share was there before it seems to begin has come slowly.
 const SLOW_SHARE: f64 = 0.3;
 
@@ -59,8 +61,6 @@ pub enum Manner {
     AtOnce,
     /// Little by little: wear, air pressure, temperature.
     Slowly,
-    /// A change that was reported before is not confirmed by what came after it.
-    Withdrawn,
 }
 
 /// Where a block of the drive began.
@@ -234,10 +234,9 @@ impl<const N: usize> ChangeTest<N> {
         is_known.then(|| self.values(&self.reference, limits)).flatten()
     }
 
-    /// The parameters before `begin`, and their standard deviations.
+    /// The parameters before `begin`, and their standard deviations; `None` if no block of the window began then.
     pub(crate) fn known_before(&self, begin: Begin, limits: &Limits<N>) -> Option<[[f64; N]; 2]> {
-        let first = self.window.iter().position(|block| block.begin.time_ns >= begin.time_ns)?;
-        self.values(&self.before(first).0, limits)
+        self.values(&self.before(self.first_since(begin)?).0, limits)
     }
 
     fn values(&self, equations: &Sums<N>, limits: &Limits<N>) -> Option<[[f64; N]; 2]> {
@@ -246,21 +245,36 @@ impl<const N: usize> ChangeTest<N> {
         Some([values.into(), std::array::from_fn(sigma)])
     }
 
-    /// The change of a parameter since `begin`, and its standard deviation; `None` if the beginning of the run is not known yet, or
-    /// if `begin` has left the window.
+    /// Number of blocks since `begin`; `None` if no block of the window began then.
+    pub(crate) fn blocks_since(&self, begin: Begin) -> Option<usize> {
+        Some(self.window.len() - self.first_since(begin)?)
+    }
+
+    fn first_since(&self, begin: Begin) -> Option<usize> {
+        self.window.iter().position(|block| block.begin == begin)
+    }
+
+    /// Whether the blocks of the window have any equation.
+    pub(crate) fn has_equations(&self) -> bool {
+        self.window.iter().any(|block| block.sums.information.trace() > 0.0)
+    }
+
+    /// The change of a parameter since `begin`, and its standard deviation; `None` if no block of the window began then, if the
+    /// beginning of the run is not known yet, or if the blocks since say little beside what was expected.
     pub(crate) fn change_since(
         &self,
         begin: Begin,
         index: usize,
         limits: &Limits<N>,
     ) -> Option<(f64, f64)> {
-        let first = self.window.iter().position(|block| block.begin.time_ns >= begin.time_ns)?;
+        let first = self.first_since(begin)?;
         let (before, blocks) = self.before(first);
-        if blocks < LEAST_REFERENCE {
-            return None;
-        }
         let mut since = Sums::default();
         self.window.iter().skip(first).for_each(|block| since.add(&block.sums));
+        let expected = limits.expected[index].powi(-2);
+        if blocks < LEAST_REFERENCE || since.information[(index, index)] < LEAST_SAID * expected {
+            return None;
+        }
         let (change, sigma) = self.change(&before, &since, limits)?;
         Some((change[index], sigma[index]))
     }
@@ -478,6 +492,7 @@ mod tests {
 
     #[test]
     fn rare_large_errors_raise_no_alarm_if_the_least_noise_covers_them() {
+        // 0.5 is an example, as large as these errors need: the limits of the camera are in `calibration_watch`.
         assert_eq!(found_with_rare_large_errors(0.5), 0);
         let uncovered = found_with_rare_large_errors(LIMITS.least_noise[0]);
         assert!(uncovered > 10, "{uncovered}");

@@ -3,7 +3,7 @@
 //! Localization and perception compare the sensors with each other anyway. What remains of these comparisons says how wheels, scanner
 //! and camera differ from their configuration. A robot whose configuration is a little wrong from the beginning is left to
 //! `firmware-host calibrate`; what is watched here is a *change* since the beginning of the run. It is reported once; parameters
-//! are never changed.
+//! are never changed. Of the camera's mount a report is withdrawn when what follows does not confirm it.
 //!
 //! | watched | beside | shown by |
 //! |---|---|---|
@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 use crate::localization::{DrivenLeg, LocalizationConfig};
 use crate::snapshot::{SnapshotError, State, remembers};
 use change_test::{Begin, ChangeTest, Found, Limits};
-use scanner_time::ScannerTime;
+use scanner_time::{ScannerTime, is_rather};
 
 pub use change_test::Manner;
 pub(crate) use scanner_time::{MatchedScan, rotation_starts_or_stops};
@@ -67,11 +67,13 @@ pub enum Watched {
     CameraLatency,
     /// Time from the measurement of a scan to its stamp, s.
     LidarLatency,
+    /// Time from a motion of the wheels to the stamp of its report, s.
+    WheelLatency,
 }
 
 impl Watched {
     /// Every watched parameter.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::WheelHeading,
         Self::WheelTrack,
         Self::WheelDistance,
@@ -83,6 +85,7 @@ impl Watched {
         Self::CameraRoll,
         Self::CameraLatency,
         Self::LidarLatency,
+        Self::WheelLatency,
     ];
 }
 
@@ -112,25 +115,53 @@ pub struct Change {
     pub manner: Manner,
 }
 
+/// A change that was reported, and is not confirmed by what came after it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Withdrawal {
+    pub what: Watched,
+    /// The value now less that before the change that was reported, in the unit of `what`.
+    pub still: f64,
+    /// Standard deviation of `still`.
+    pub sigma: f64,
+}
+
+/// What the watch says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Report {
+    Changed(Change),
+    Withdrawn(Withdrawal),
+}
+
+/// What was reported of the camera's mount since it was measured last.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct CameraReport {
+    /// Pitch, yaw and roll before, and their standard deviations, rad.
+    before: [[f64; 3]; 2],
+    /// By how much each of them has changed since, rad; `None` if it was not reported.
+    turned: [Option<f64>; 3],
+}
+
 /// Least noise of equations whose errors are independent, as a share of the stated one.
 const LEAST_NOISE: f64 = 0.05;
 /// Noise of the camera's yaw, as a share of the stated one. On a straight line the image motion of the same few things gives the same
 /// error in every frame, so that the noise from block to block does not show it: over eight blocks it was 0.4 to 3.4 in 15 simulated drives
 /// (docs/calibration.md).
 const YAW_NOISE: f64 = 3.0;
-/// Least noise of the camera's pitch and roll, as a share of the stated one. Few blocks have much more noise than most: with 0.05 the
-/// largest false change of the pitch in a simulated hour had 5.0 standard deviations (docs/calibration.md).
+/// Least noise of the camera's pitch and roll, as a share of the stated one. Few blocks have much more noise than most. In a simulated
+/// hour (docs/calibration.md) the largest false changes had 3.7 and 3.6 standard deviations; with a least noise of 0.15 that of the pitch
+/// had 5.0. The expected noise of 0.5 names 1 degree of pitch in nine of fourteen stretches of it, and 1.0 in none.
 const LEAST_PITCH_NOISE: f64 = 0.2;
 const LEAST_ROLL_NOISE: f64 = 0.4;
 
 /// Wheels: rad/m, share, share. 5 % of error are known of real robots (localization); a change of 1 % of one wheel of the default
-/// robot is 0.042 rad/m. The stated noise of the wheels is twice that of a good base ([`LocalizationConfig`]).
+/// robot is 0.042 rad/m. The stated noise of the wheels is twice that of a good base ([`LocalizationConfig`]). In 120 minutes of simulated
+/// driving without a change the largest false ones had 3.9, 3.6 and 4.7 standard deviations.
 const WHEELS: Limits<3> = Limits {
     expected: [0.05, 0.03, 0.02],
     noise: [0.5; 3],
     least_noise: [LEAST_NOISE; 3],
     least: [0.01, 0.01, 0.004],
-    sigmas: 6.0,
+    sigmas: 5.5,
 };
 /// Scanner: rad, m, m.
 const LIDAR: Limits<3> = Limits {
@@ -165,10 +196,13 @@ const CAMERA_PARTS: [Watched; 3] = [Watched::CameraPitch, Watched::CameraYaw, Wa
 /// A scanner whose yaw is suspected of a change by this many standard deviations may be why the camera seems to have turned: the
 /// camera is compared with the pose by scans.
 const SUSPECTED: f64 = 3.0;
-/// After this distance the wheels are not waited for any longer, metres: the camera is said to be late.
-const UNDECIDED_M: f64 = 10.0;
-/// Number of parameters of which a snapshot has the changes in one place. The changes of the others are at its end.
-const FIRST_WATCHED: usize = 10;
+/// The camera's mount is known well enough to confirm or withdraw a report when this many of its standard deviations are smaller than
+/// what matters.
+const CONFIRMED: f64 = 3.0;
+/// The wheels are not waited for any longer after this many blocks, half of the window: the camera is said to be late. Our own choice.
+const UNDECIDED_BLOCKS: usize = 20;
+/// The changes of the first ten parameters are in the part of the memory that old snapshots have.
+const OLD_PARAMETERS: usize = Watched::LidarLatency as usize;
 
 /// Watches the calibration of one robot.
 #[derive(Debug, Default)]
@@ -183,27 +217,28 @@ pub struct CalibrationWatch {
     /// Distance that the rim of a wheel has rolled in the current block, metres.
     rolled_m: f64,
     begin: Begin,
-    /// The last change of each parameter, without that of the scanner's latency.
-    changes: [Option<Change>; FIRST_WATCHED],
-    scanner_time_change: Option<Change>,
-    /// The camera's mount before its first change, with its standard deviations, rad.
-    camera_before: Option<[[f64; 3]; 2]>,
-    /// Sums of the changes of the camera's pitch, yaw and roll, rad.
+    /// The last change of each parameter, but for the latencies of scanner and wheels, which are in `late`.
+    changes: [Option<Change>; OLD_PARAMETERS],
+    late: [Option<Change>; 2],
+    camera_report: Option<CameraReport>,
+    /// Sums of earlier changes of the camera's pitch, yaw and roll, which cannot be confirmed any more, rad.
     camera_turned: [f64; 3],
 }
 
-// Not the scanner's latency and the camera's first mount, which snapshots of layout 12 and before do not have.
+// Not what snapshots of layout 12 and before do not have.
 remembers!(CalibrationWatch: wheels, lidar, camera, latency, last_odom, driven_m, rolled_m, begin, changes, camera_turned);
 
 impl CalibrationWatch {
     /// The last change of each parameter that has changed in this run.
     pub fn changes(&self) -> impl Iterator<Item = &Change> {
-        self.changes.iter().chain([&self.scanner_time_change]).flatten()
+        self.changes.iter().chain(&self.late).flatten()
     }
 
     /// How far the camera was turned in this run, as far as it was noticed, rad.
     pub fn camera_turned_rad(&self) -> f64 {
-        self.camera_turned.iter().map(|rad| rad * rad).sum::<f64>().sqrt()
+        let reported = self.camera_report.map_or([None; 3], |report| report.turned);
+        let turned = self.camera_turned.iter().zip(reported);
+        turned.map(|(earlier, now)| (earlier + now.unwrap_or(0.0)).powi(2)).sum::<f64>().sqrt()
     }
 
     /// Every parameter as the last metres show it: its value less the configured one.
@@ -222,6 +257,8 @@ impl CalibrationWatch {
                 }
                 Watched::CameraLatency => self.latency.estimate(0, &LATENCY)?,
                 Watched::LidarLatency => self.scanner_time.estimate()?,
+                // Wheels are not compared with another clock than the scanner's.
+                Watched::WheelLatency => return None,
             };
             Some(Measured { what, value, sigma })
         })
@@ -248,8 +285,8 @@ impl CalibrationWatch {
         self.latency.add(latency, &LATENCY);
     }
 
-    /// The robot is at `odom` by its wheels. Returns a change when it is found.
-    pub(crate) fn advance(&mut self, odom: &Pose2, time_ns: u64) -> Option<Change> {
+    /// The robot is at `odom` by its wheels. Returns a change when it is found, and when it is withdrawn.
+    pub(crate) fn advance(&mut self, odom: &Pose2, time_ns: u64) -> Option<Report> {
         let step = self.last_odom.map_or(Pose2::IDENTITY, |last| last.inverse().compose(odom));
         self.last_odom = Some(*odom);
         let step_m = step.x_m.hypot(step.y_m);
@@ -264,13 +301,21 @@ impl CalibrationWatch {
         self.rolled_m = 0.0;
         let next = Begin { driven_m: self.driven_m, time_ns };
         let begin = std::mem::replace(&mut self.begin, next);
-        let change = self.end_block(begin)?;
-        let holds = Some(change).filter(|change| change.manner != Manner::Withdrawn);
-        match self.changes.get_mut(change.what as usize) {
-            Some(last) => *last = holds,
-            None => self.scanner_time_change = holds,
+        if let Some(change) = self.end_block(begin) {
+            *self.last_change(change.what) = Some(change);
+            return Some(Report::Changed(change));
         }
-        Some(change)
+        let withdrawal = self.confirm_camera()?;
+        *self.last_change(withdrawal.what) = None;
+        Some(Report::Withdrawn(withdrawal))
+    }
+
+    fn last_change(&mut self, what: Watched) -> &mut Option<Change> {
+        match what {
+            Watched::LidarLatency => &mut self.late[0],
+            Watched::WheelLatency => &mut self.late[1],
+            _ => &mut self.changes[what as usize],
+        }
     }
 
     fn end_block(&mut self, begin: Begin) -> Option<Change> {
@@ -282,7 +327,7 @@ impl CalibrationWatch {
         if let Some(found) = self.lidar.find(&LIDAR) {
             self.lidar.restart();
             self.camera.restart();
-            self.camera_before = None;
+            self.settle_camera();
             return Some(change(&found, &LIDAR_PARTS));
         }
         if let Some(found) = self.wheels.find(&WHEELS) {
@@ -292,84 +337,122 @@ impl CalibrationWatch {
         if self.lidar.suspicion(0, &LIDAR) < SUSPECTED
             && let Some(found) = self.camera.find(&CAMERA)
         {
-            if self.camera_before.is_none() {
-                self.camera_before = self.camera.known_before(found.begin, &CAMERA);
-            }
+            self.note_camera(&found);
             self.camera.restart();
-            self.camera_turned[found.index] += found.by;
             return Some(change(&found, &CAMERA_PARTS));
         }
-        self.find_latency().or_else(|| self.confirm_camera(begin))
+        self.find_latency()
     }
 
-    /// Compares the camera with its mount before its first change, as soon as enough blocks came after the last one. It was not turned,
-    /// or was turned back, if it is there: what was reported is withdrawn, so that one wrong report does not keep the camera's depth
-    /// out of the map for the rest of the run. Else it is turned by what is measured now, because a large change is first reported as
-    /// smaller than it is.
-    fn confirm_camera(&mut self, begin: Begin) -> Option<Change> {
-        let [before, before_sigma] = self.camera_before?;
-        let [now, sigma] = self.camera.known(&CAMERA)?;
-        for (index, turned) in self.camera_turned.iter_mut().enumerate() {
-            let still = now[index] - before[index];
-            let still_sigma = sigma[index].hypot(before_sigma[index]);
-            let half = 0.5 * turned.abs();
-            if (half - still.abs()).abs() < SUSPECTED * still_sigma || half < f64::EPSILON {
-                continue;
-            }
-            if still.abs() > half {
-                *turned = still;
-                continue;
-            }
-            let by = still - std::mem::take(turned);
-            let Begin { driven_m: since_m, time_ns: since_ns } = begin;
+    fn note_camera(&mut self, found: &Found) {
+        let before = self.camera.known_before(found.begin, &CAMERA);
+        let first = before.map(|before| CameraReport { before, turned: [None; 3] });
+        self.camera_report = self.camera_report.or(first);
+        match &mut self.camera_report {
+            Some(report) => *report.turned[found.index].get_or_insert(0.0) += found.by,
+            None => self.camera_turned[found.index] += found.by,
+        }
+    }
+
+    /// The camera is compared with a scanner that has changed: what was reported of the camera stays as it is.
+    fn settle_camera(&mut self) {
+        let Some(report) = self.camera_report.take() else { return };
+        for (sum, turned) in self.camera_turned.iter_mut().zip(report.turned) {
+            *sum += turned.unwrap_or(0.0);
+        }
+    }
+
+    /// Compares the camera with its mount before the changes that were reported, as soon as enough blocks came after the last one. If
+    /// it is there, it was not turned, or was turned back: the report is withdrawn, so that one wrong report does not keep the
+    /// camera's depth out of the map for the rest of the run. Else it is turned by what is measured now, because a large change is
+    /// first reported as smaller than it is.
+    fn confirm_camera(&mut self) -> Option<Withdrawal> {
+        let [now, now_sigma] = self.camera.known(&CAMERA)?;
+        if self.lidar.suspicion(0, &LIDAR) >= SUSPECTED {
+            return None;
+        }
+        let CameraReport { before: [before, before_sigma], turned } =
+            self.camera_report.as_mut()?;
+        for (index, turned) in turned.iter_mut().enumerate().filter(|(_, turned)| turned.is_some())
+        {
             let what = CAMERA_PARTS[index];
-            let manner = Manner::Withdrawn;
-            return Some(Change { what, by, sigma: still_sigma, since_m, since_ns, manner });
+            let still = now[index] - before[index];
+            let sigma = now_sigma[index].hypot(before_sigma[index]);
+            let least = CAMERA.least[index];
+            if still.abs() < least && CONFIRMED * sigma < least {
+                *turned = None;
+                return Some(Withdrawal { what, still, sigma });
+            }
+            if CONFIRMED * sigma < still.abs() {
+                *turned = Some(still);
+                if let Some(change) = &mut self.changes[what as usize] {
+                    change.by = still;
+                    change.sigma = sigma;
+                }
+            }
         }
         None
     }
 
-    /// A change of the time stamps. The camera is compared with the scans, and the wheels say which of both has changed.
+    /// A change of the time stamps. Scans are compared with the wheels, and frames with the scans: two of the three clocks agree.
     fn find_latency(&mut self) -> Option<Change> {
         if let Some(found) = self.scanner_time.find() {
-            return Some(self.scanner_is_late(&found));
+            // Late scans make frames seem early by as much; late wheels do not.
+            let frames = self.latency.change_since(found.begin, 0, &LATENCY);
+            let is_scanner = frames.and_then(|frames| is_rather(frames, -found.by, found.sigma));
+            self.scanner_time.restart();
+            self.latency.restart();
+            if is_scanner == Some(false) {
+                return Some(change(&opposite(&found), &[Watched::WheelLatency]));
+            }
+            return Some(change(&found, &[Watched::LidarLatency]));
         }
         let found = self.latency.find(&LATENCY)?;
-        match self.scanner_time.is_scanner(&found) {
-            Some(true) => return Some(self.scanner_is_late(&Found { by: -found.by, ..found })),
-            None if self.driven_m - found.begin.driven_m < UNDECIDED_M => return None,
+        let scans = self.scanner_time.change_since(found.begin);
+        match scans.and_then(|scans| is_rather(scans, -found.by, found.sigma)) {
+            Some(true) => {
+                self.scanner_time.restart();
+                self.latency.restart();
+                return Some(change(&opposite(&found), &[Watched::LidarLatency]));
+            }
+            None if self.waits_for_wheels(&found) => return None,
             Some(false) | None => {}
         }
         self.latency.restart();
         Some(change(&found, &[Watched::CameraLatency]))
     }
 
-    fn scanner_is_late(&mut self, found: &Found) -> Change {
-        self.scanner_time.restart();
-        self.latency.restart();
-        change(found, &[Watched::LidarLatency])
+    /// Whether the wheels may still say if a change between frames and scans is one of the scans.
+    fn waits_for_wheels(&self, found: &Found) -> bool {
+        let blocks = self.latency.blocks_since(found.begin).unwrap_or(UNDECIDED_BLOCKS);
+        self.scanner_time.has_equations() && blocks < UNDECIDED_BLOCKS
     }
 
     /// The part of the memory that snapshots of layout 12 and before do not have.
-    pub(crate) fn write_newer(&self, to: &mut Vec<u8>) {
+    pub(crate) fn write_layout_13(&self, to: &mut Vec<u8>) {
         self.scanner_time.write(to);
-        self.scanner_time_change.write(to);
-        self.camera_before.write(to);
+        self.late.write(to);
+        self.camera_report.write(to);
     }
 
-    /// Restores what [`write_newer`](Self::write_newer) wrote.
-    pub(crate) fn read_newer(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+    /// Restores what [`write_layout_13`](Self::write_layout_13) wrote.
+    pub(crate) fn read_layout_13(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
         self.scanner_time.read(from)?;
-        self.scanner_time_change.read(from)?;
-        self.camera_before.read(from)
+        self.late.read(from)?;
+        self.camera_report.read(from)
     }
 
     /// Nothing is known of this part: the snapshot that was read does not have it.
-    pub(crate) fn forget_newer(&mut self) {
+    pub(crate) fn forget_layout_13(&mut self) {
         self.scanner_time = ScannerTime::default();
-        self.scanner_time_change = None;
-        self.camera_before = None;
+        self.late = [None; 2];
+        self.camera_report = None;
     }
+}
+
+/// What the same change is of the other one of two clocks.
+fn opposite(found: &Found) -> Found {
+    Found { by: -found.by, ..*found }
 }
 
 fn change(found: &Found, parts: &[Watched]) -> Change {

@@ -48,9 +48,16 @@ impl Drive {
         }
         let scan = matched_scan(robot, &estimate);
         watch.see_scan(scan, config);
-        changes.extend(watch.advance(&robot.wheel, robot.time_ns));
+        changes.extend(changed(watch.advance(&robot.wheel, robot.time_ns)));
         self.scan = scan;
         estimate.leg
+    }
+}
+
+fn changed(report: Option<Report>) -> Option<Change> {
+    match report {
+        Some(Report::Changed(change)) => Some(change),
+        Some(Report::Withdrawn(_)) | None => None,
     }
 }
 
@@ -128,70 +135,112 @@ fn a_scanner_whose_scans_come_later_is_named() {
     assert_found_since(late, Watched::LidarLatency, 0.03, 0.008, 3.0);
 }
 
-/// The changes that a robot reports which rotates for a second and stands for a second, for `rotations` times. Scans are late by
-/// `scanner_s` and frames by `camera_s` after a third of them; `noise` is the error of the wheels' yaw in a tick, rad.
-fn changes_of_time(seed: u64, scanner_s: f64, camera_s: f64, noise: f64) -> Vec<Change> {
+/// A robot whose clocks change after a third of its rotations.
+#[derive(Clone, Copy, Default)]
+struct Clocks {
+    /// Time by which scans, frames and the reports of the wheels are late, s.
+    scanner_s: f64,
+    camera_s: f64,
+    wheels_s: f64,
+    /// Error of the wheels' yaw in a tick, rad.
+    noise_rad: f64,
+    /// Scans do not fit.
+    without_scans: bool,
+    without_frames: bool,
+}
+
+/// The changes that it reports while it rotates for a second and drives for a second, 300 times.
+fn changes_of_time(seed: u64, clocks: Clocks) -> Vec<Change> {
     const ROTATIONS: u64 = 300;
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut error = |size: f64| size * random.random_range(-1.7..1.7);
     let mut watch = CalibrationWatch::default();
     let config = LocalizationConfig::default();
+    let mut at = Pose2::IDENTITY;
     let mut truth_rad: f64 = 0.0;
     let mut wheels_rad: f64 = 0.0;
     let mut rate_before = 0.0;
     let mut changes = Vec::new();
     for tick in 0..20 * ROTATIONS {
-        let has_changed = tick > 20 * ROTATIONS / 3;
-        let [scanner_s, camera_s] =
-            [scanner_s, camera_s].map(|s| if has_changed { s } else { 0.0 });
+        let has_changed = f64::from(u8::from(tick > 20 * ROTATIONS / 3));
         let rate = [0.0, 0.7][(tick / 10 % 2) as usize];
         truth_rad += 0.1 * rate;
-        wheels_rad += 0.1 * rate + if rate > 0.0 { error(noise) } else { 0.0 };
+        wheels_rad += 0.1 * rate + if rate > 0.0 { error(clocks.noise_rad) } else { 0.0 };
+        let scans_rad = truth_rad - has_changed * clocks.scanner_s * rate + error(0.001);
+        let reported_rad = wheels_rad - has_changed * clocks.wheels_s * rate;
         let scan = MatchedScan {
             time_ns: tick * 100_000_000,
-            by_wheels: Pose2::new(0.0, 0.0, wrap_angle(wheels_rad)),
-            by_scans: Pose2::new(0.0, 0.0, wrap_angle(truth_rad - scanner_s * rate + error(0.001))),
+            by_wheels: Pose2::new(0.0, 0.0, wrap_angle(reported_rad)),
+            by_scans: Pose2::new(0.0, 0.0, wrap_angle(scans_rad)),
             yaw_rate_radps: rate,
         };
-        watch.see_scan(Some(scan), &config);
+        watch.see_scan(Some(scan).filter(|_| !clocks.without_scans), &config);
         let change_radps = rate - rate_before;
-        if rotation_starts_or_stops(rate_before, rate) {
-            let late_s = camera_s - scanner_s;
+        if rotation_starts_or_stops(rate_before, rate) && !clocks.without_frames {
+            let late_s = has_changed * (clocks.camera_s - clocks.scanner_s);
             let yaw_error_rad = -late_s * change_radps + error(0.001);
             let factor = Vector1::new(-change_radps);
             watch.see_latency(&Sums::of(factor, yaw_error_rad, 0.003_f64.powi(2)));
         }
         rate_before = rate;
-        changes.extend(watch.advance(&scan.by_wheels, scan.time_ns));
+        at = at.compose(&Pose2::new(if rate > 0.0 { 0.0 } else { 0.05 }, 0.0, 0.1 * rate));
+        changes.extend(changed(watch.advance(&at, scan.time_ns)));
     }
     changes
 }
 
+/// The first change that is reported names `what`, with the right sign. A large one is first reported as much smaller than it is.
+fn assert_named(clocks: Clocks, what: Watched, by_s: f64) {
+    for seed in 0..20 {
+        let changes = changes_of_time(seed, clocks);
+        let [change, ..] = changes.as_slice() else { panic!("seed {seed}: nothing was reported") };
+        assert_eq!(change.what, what, "seed {seed}: {change:?}");
+        let share = change.by / by_s;
+        let least = if by_s > 0.01 { 0.03 } else { 0.3 };
+        assert!((least..1.5).contains(&share), "seed {seed}: {change:?}");
+    }
+}
+
 #[test]
 fn late_scans_are_not_taken_for_early_frames() {
-    for seed in 0..20 {
-        let changes = changes_of_time(seed, 0.01, 0.0, 0.005);
-        let [change] = changes.as_slice() else { panic!("seed {seed}: {changes:?}") };
-        assert_eq!(change.what, Watched::LidarLatency, "seed {seed}: {change:?}");
-        assert!((change.by - 0.01).abs() < 0.005, "seed {seed}: {change:?}");
+    for scanner_s in [0.01, 0.05, 0.1] {
+        let clocks = Clocks { scanner_s, noise_rad: 0.005, ..Clocks::default() };
+        assert_named(clocks, Watched::LidarLatency, scanner_s);
+        let alone = Clocks { without_frames: true, ..clocks };
+        assert_named(alone, Watched::LidarLatency, scanner_s);
     }
 }
 
 #[test]
 fn late_frames_are_those_of_the_camera() {
-    for seed in 0..20 {
-        let changes = changes_of_time(seed, 0.0, 0.01, 0.005);
-        let [change] = changes.as_slice() else { panic!("seed {seed}: {changes:?}") };
-        assert_eq!(change.what, Watched::CameraLatency, "seed {seed}: {change:?}");
-        assert!((change.by - 0.01).abs() < 0.005, "seed {seed}: {change:?}");
+    for camera_s in [0.01, 0.05, 0.1] {
+        let clocks = Clocks { camera_s, noise_rad: 0.005, ..Clocks::default() };
+        assert_named(clocks, Watched::CameraLatency, camera_s);
     }
+}
+
+#[test]
+fn frames_and_scans_that_agree_have_wheels_that_are_late() {
+    for wheels_s in [0.01, 0.05, 0.1] {
+        let clocks = Clocks { wheels_s, noise_rad: 0.005, ..Clocks::default() };
+        assert_named(clocks, Watched::WheelLatency, wheels_s);
+    }
+}
+
+#[test]
+fn where_the_wheels_say_too_little_or_nothing_the_camera_is_named() {
+    let noisy = Clocks { camera_s: 0.01, noise_rad: 0.04, ..Clocks::default() };
+    assert_named(noisy, Watched::CameraLatency, 0.01);
+    let without = Clocks { without_scans: true, ..noisy };
+    assert_named(without, Watched::CameraLatency, 0.01);
 }
 
 #[test]
 fn without_a_change_no_time_stamp_is_reported_however_noisy_the_wheels_are() {
     for seed in 0..20 {
-        for noise in [0.0, 0.005, 0.02] {
-            assert_eq!(changes_of_time(seed, 0.0, 0.0, noise), [], "seed {seed}, {noise} rad");
+        for noise_rad in [0.0, 0.005, 0.02] {
+            let clocks = Clocks { noise_rad, ..Clocks::default() };
+            assert_eq!(changes_of_time(seed, clocks), [], "seed {seed}, {noise_rad} rad");
         }
     }
 }
@@ -217,49 +266,62 @@ fn scans_that_did_not_fit_say_nothing_of_the_latency() {
     assert!(said(&[before, Some(at(1, 0.01, 0.05))]).abs() < f64::EPSILON, "no rotation");
 }
 
-/// The changes that are reported of a camera whose pitch is `pitch(block)`, and by how much it is turned at the end, rad. Each block
-/// has ten equations with a noise of 0.02 rad, which is stated as 0.1.
-fn changes_of_pitch(seed: u64, blocks: u64, pitch: impl Fn(u64) -> f64) -> (Vec<Change>, f64) {
-    let mut random = Pcg64Mcg::seed_from_u64(seed);
-    let mut watch = CalibrationWatch::default();
-    let mut changes = Vec::new();
-    let mut travelled_m = 0.0;
-    for block in 0..blocks {
-        for _ in 0..10 {
-            let noise = 0.02 * random.random_range(-1.7..1.7);
-            let factors = Vector3::new(1.0, 0.0, 0.0);
-            watch.see_camera(&Sums::of(factors, pitch(block) + noise, 0.1_f64.powi(2)));
-            travelled_m += 0.1 * BLOCK_M + 1e-6;
-            changes.extend(watch.advance(&Pose2::new(travelled_m, 0.0, 0.0), block));
+/// A camera whose pitch is given for each block of the drive.
+struct Pitched {
+    watch: CalibrationWatch,
+    reports: Vec<Report>,
+}
+
+impl Pitched {
+    /// Each block has ten equations with a noise of 0.02 rad, which is stated as 0.1.
+    fn new(seed: u64, blocks: u64, pitch: impl Fn(u64) -> f64) -> Self {
+        let mut random = Pcg64Mcg::seed_from_u64(seed);
+        let mut watch = CalibrationWatch::default();
+        let mut reports = Vec::new();
+        let mut travelled_m = 0.0;
+        for block in 0..blocks {
+            for _ in 0..10 {
+                let noise = 0.02 * random.random_range(-1.7..1.7);
+                let factors = Vector3::new(1.0, 0.0, 0.0);
+                watch.see_camera(&Sums::of(factors, pitch(block) + noise, 0.1_f64.powi(2)));
+                travelled_m += 0.1 * BLOCK_M + 1e-6;
+                reports.extend(watch.advance(&Pose2::new(travelled_m, 0.0, 0.0), block));
+            }
         }
+        Self { watch, reports }
     }
-    (changes, watch.camera_turned_rad())
+
+    fn withdrawn(&self) -> usize {
+        self.reports.iter().filter(|report| matches!(report, Report::Withdrawn(_))).count()
+    }
 }
 
 #[test]
 fn a_report_that_the_next_metres_do_not_confirm_is_withdrawn_and_the_camera_is_trusted_again() {
-    let mut withdrawn = 0;
     for seed in 0..10 {
         let wall = 100..106;
-        let (changes, turned) =
-            changes_of_pitch(seed, 300, |block| if wall.contains(&block) { 0.08 } else { 0.0 });
-        let [first, .., last] = changes.as_slice() else { panic!("seed {seed}: {changes:?}") };
-        assert_ne!(first.manner, Manner::Withdrawn, "seed {seed}");
-        // The end of the wall may be found as a change back.
-        withdrawn += u32::from(last.manner == Manner::Withdrawn);
-        assert!(turned < CAMERA.least[0], "seed {seed}: {turned} after {changes:?}");
+        let Pitched { watch, reports } =
+            &Pitched::new(seed, 400, |block| if wall.contains(&block) { 0.08 } else { 0.0 });
+        let [Report::Changed(_), .., Report::Withdrawn(withdrawal)] = reports.as_slice() else {
+            panic!("seed {seed}: {reports:?}")
+        };
+        assert_eq!(withdrawal.what, Watched::CameraPitch);
+        assert!(withdrawal.still.abs() < 0.007, "seed {seed}: {withdrawal:?}");
+        assert_eq!(watch.changes().count(), 0, "seed {seed}");
+        assert!(watch.camera_turned_rad().abs() < f64::EPSILON, "seed {seed}");
     }
-    assert!(withdrawn >= 5, "{withdrawn}");
 }
 
 #[test]
-fn a_camera_that_was_turned_stays_so() {
+fn a_camera_that_was_turned_stays_so_and_the_change_gets_its_true_size() {
     for seed in 0..10 {
-        let (changes, turned) =
-            changes_of_pitch(seed, 600, |block| if block < 100 { 0.0 } else { 0.05 });
-        assert!(!changes.is_empty(), "seed {seed}");
-        assert!(changes.iter().all(|change| change.manner != Manner::Withdrawn), "{changes:?}");
-        assert!((turned - 0.05).abs() < 0.01, "seed {seed}: {turned}");
+        let turned = Pitched::new(seed, 600, |block| if block < 100 { 0.0 } else { 0.05 });
+        assert_eq!(turned.withdrawn(), 0, "seed {seed}: {:?}", turned.reports);
+        let changes: Vec<&Change> = turned.watch.changes().collect();
+        let [change] = changes.as_slice() else { panic!("seed {seed}: {changes:?}") };
+        assert!((change.by - 0.05).abs() < 0.007, "seed {seed}: {change:?}");
+        let turned_rad = turned.watch.camera_turned_rad();
+        assert!((turned_rad - change.by).abs() < 1e-9, "seed {seed}: {turned_rad}");
     }
 }
 
@@ -267,17 +329,30 @@ fn a_camera_that_was_turned_stays_so() {
 fn a_camera_that_was_turned_back_is_trusted_again() {
     for seed in 0..10 {
         let is_turned = 100..250;
-        let (changes, turned) =
-            changes_of_pitch(
-                seed,
-                500,
-                |block| {
-                    if is_turned.contains(&block) { 0.05 } else { 0.0 }
-                },
-            );
-        assert!(changes.len() >= 2, "seed {seed}: {changes:?}");
-        assert!(turned < 0.01, "seed {seed}: {turned} after {changes:?}");
+        let back =
+            Pitched::new(seed, 600, |block| if is_turned.contains(&block) { 0.05 } else { 0.0 });
+        assert_eq!(back.withdrawn(), 1, "seed {seed}: {:?}", back.reports);
+        assert_eq!(back.watch.changes().count(), 0, "seed {seed}");
+        assert!(back.watch.camera_turned_rad().abs() < f64::EPSILON, "seed {seed}");
     }
+}
+
+#[test]
+fn what_was_reported_before_the_scanner_changed_is_not_withdrawn() {
+    let mut turned = Pitched::new(1, 200, |block| if block < 100 { 0.0 } else { 0.05 });
+    let before_rad = turned.watch.camera_turned_rad();
+    assert!(before_rad > 0.03);
+    turned.watch.settle_camera();
+    turned.watch.camera.restart();
+    assert!((turned.watch.camera_turned_rad() - before_rad).abs() < 1e-12);
+    for block in 200..400_u32 {
+        let factors = Vector3::new(1.0, 0.0, 0.0);
+        (0..10).for_each(|_| turned.watch.see_camera(&Sums::of(factors, 0.0, 0.01)));
+        let at = Pose2::new(0.6 * f64::from(block), 0.0, 0.0);
+        turned.watch.last_odom = Some(Pose2::new(at.x_m - 0.501, 0.0, 0.0));
+        assert!(turned.watch.advance(&at, u64::from(block)).is_none());
+    }
+    assert!((turned.watch.camera_turned_rad() - before_rad).abs() < 1e-12);
 }
 
 #[test]
@@ -307,7 +382,7 @@ fn a_second_watch_goes_on_from_a_snapshot_to_the_bit() {
             let bytes = bytes_of(&drive.watch);
             let mut from = bytes.as_slice();
             State::read(&mut second, &mut from).unwrap();
-            second.read_newer(&mut from).unwrap();
+            second.read_layout_13(&mut from).unwrap();
             assert!(from.is_empty());
         } else if tick > 700 {
             leg.iter().for_each(|leg| second.see_leg(leg, &drive.config));
@@ -318,9 +393,28 @@ fn a_second_watch_goes_on_from_a_snapshot_to_the_bit() {
     assert_eq!(bytes_of(&second), bytes_of(&drive.watch));
 }
 
+#[test]
+fn a_snapshot_holds_what_was_reported_of_clocks_and_camera() {
+    let turned = Pitched::new(1, 200, |block| if block < 100 { 0.0 } else { 0.05 });
+    let mut watch = turned.watch;
+    let late = *watch.changes().next().unwrap();
+    watch.late =
+        [Watched::LidarLatency, Watched::WheelLatency].map(|what| Some(Change { what, ..late }));
+    let mut second = CalibrationWatch::default();
+    let bytes = bytes_of(&watch);
+    let mut from = bytes.as_slice();
+    State::read(&mut second, &mut from).unwrap();
+    second.read_layout_13(&mut from).unwrap();
+    assert_eq!(bytes_of(&second), bytes);
+    assert_eq!(second.changes().collect::<Vec<_>>(), watch.changes().collect::<Vec<_>>());
+    assert!((second.camera_turned_rad() - watch.camera_turned_rad()).abs() < f64::EPSILON);
+    second.forget_layout_13();
+    assert_eq!(second.changes().count(), 1, "the scanner and the wheels are forgotten");
+}
+
 fn bytes_of(watch: &CalibrationWatch) -> Vec<u8> {
     let mut bytes = Vec::new();
     watch.write(&mut bytes);
-    watch.write_newer(&mut bytes);
+    watch.write_layout_13(&mut bytes);
     bytes
 }

@@ -61,7 +61,7 @@ hal::settings! {
         /// assumed enter it.
         min_confidence: f32 = 0.8, in 0.0..=1.0;
         /// After the camera was turned by more than this during the run, the map takes no more depth from it, and the robot goes
-        /// on with scans; 180: it always takes depth. See docs/calibration.md.
+        /// on with scans, unless the report is withdrawn; 180: it always takes depth. See docs/calibration.md.
         camera_trust_deg: f64 = 1.5, in 0.0..=180.0, unit "deg",
             source "at 1.7 degrees the floor at `mark_range_m` seems as high as `band_min_m`, and is an obstacle";
         /// Probability with which a point must be above the floor, by the confidence of its depth, to be an obstacle.

@@ -1,6 +1,6 @@
 //! A change of the calibration in words.
 
-use crate::calibration_watch::{Change, Manner, Watched};
+use crate::calibration_watch::{Change, Manner, Watched, Withdrawal};
 
 /// What has changed, by how much and since when. `health` and logs show it.
 #[must_use]
@@ -9,7 +9,6 @@ pub fn changed(change: &Change) -> String {
     let manner = match manner {
         Manner::AtOnce => "at once",
         Manner::Slowly => "little by little",
-        Manner::Withdrawn => return withdrawn(change),
     };
     format!(
         "calibration changed {manner} after {since_m:.0} m of this run: {} (+- {})",
@@ -18,13 +17,32 @@ pub fn changed(change: &Change) -> String {
     )
 }
 
-fn withdrawn(change: &Change) -> String {
-    let Change { what, by, sigma, since_m, .. } = change;
+/// That a reported change was not confirmed.
+#[must_use]
+pub fn withdrawn(withdrawal: &Withdrawal) -> String {
+    let Withdrawal { what, still, sigma } = withdrawal;
     format!(
-        "a reported change of the calibration is withdrawn after {since_m:.0} m of this run: since then, {} (+- {})",
-        by_how_much(*what, *by),
+        "a reported change of the calibration is not confirmed: {} differs from before it by {} (+- {})",
+        name(*what),
+        size(*what, *still),
         size(*what, *sigma)
     )
+}
+
+fn name(what: Watched) -> &'static str {
+    match what {
+        Watched::WheelHeading => "the yaw per metre by the wheels",
+        Watched::WheelTrack => "the track",
+        Watched::WheelDistance => "the distance by the wheels",
+        Watched::LidarYaw => "the LiDAR's yaw",
+        Watched::LidarForward | Watched::LidarLeft => "the LiDAR's place",
+        Watched::CameraPitch => "the camera's pitch",
+        Watched::CameraYaw => "the camera's yaw",
+        Watched::CameraRoll => "the camera's roll",
+        Watched::CameraLatency => "the latency of frames",
+        Watched::LidarLatency => "the latency of scans",
+        Watched::WheelLatency => "the latency of the wheels",
+    }
 }
 
 /// The parameter and its change, with the direction in words.
@@ -66,6 +84,9 @@ fn by_how_much(what: Watched, by: f64) -> String {
         Watched::LidarLatency => {
             format!("scans come {size} {}", direction(by, "later", "earlier"))
         }
+        Watched::WheelLatency => {
+            format!("the wheels' reports come {size} {}", direction(by, "later", "earlier"))
+        }
     }
 }
 
@@ -79,7 +100,9 @@ fn size(what: Watched, value: f64) -> String {
         Watched::WheelHeading => format!("{:.1} degrees/m", value.to_degrees()),
         Watched::WheelTrack | Watched::WheelDistance => format!("{:.1} %", 100.0 * value),
         Watched::LidarForward | Watched::LidarLeft => format!("{:.0} mm", 1000.0 * value),
-        Watched::CameraLatency | Watched::LidarLatency => format!("{:.0} ms", 1000.0 * value),
+        Watched::CameraLatency | Watched::LidarLatency | Watched::WheelLatency => {
+            format!("{:.0} ms", 1000.0 * value)
+        }
         _ => format!("{:.1} degrees", value.to_degrees()),
     }
 }

@@ -1,6 +1,6 @@
 //! The sentences that describe events in logs, in `health` and in the viewer.
 
-use super::calibration_words::changed;
+use super::calibration_words::{changed, withdrawn};
 use crate::event::{
     BackOffEnd, DropReason, Event, FaultReason, GoalReason, NoGoalReason, PlanRefusal,
     RefusedInput, SafetyEvent, TripCause,
@@ -82,6 +82,7 @@ pub fn sentence(event: &Event) -> (Severity, String) {
                 .to_owned(),
         ),
         Event::CalibrationChanged { change } => (Warning, changed(change)),
+        Event::CalibrationChangeWithdrawn { withdrawal } => (Info, withdrawn(withdrawal)),
         Event::OutsidePosesSilent => (
             Warning,
             "no pose from outside for a second: the wheels give the pose until one comes".to_owned(),

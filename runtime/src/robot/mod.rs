@@ -2,6 +2,8 @@
 
 mod camera_time;
 mod config;
+#[cfg(test)]
+mod layout_tests;
 mod location;
 mod lost;
 mod map_correction;
@@ -26,7 +28,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
-use crate::calibration_watch::{CalibrationWatch, MatchedScan};
+use crate::calibration_watch::{CalibrationWatch, MatchedScan, Report};
 use crate::event::{Event, RefusedInput};
 use crate::exploration::{Explorer, Observations};
 use crate::localization::{Gyroscope, LocalizationError, Whereabouts};
@@ -288,7 +290,7 @@ impl Robot {
         }
         self.location.write_gyro(&mut bytes);
         self.tilt.write(&mut bytes);
-        self.watch.write_newer(&mut bytes);
+        self.watch.write_layout_13(&mut bytes);
         bytes
     }
 
@@ -319,9 +321,9 @@ impl Robot {
             self.tilt = Tilt::default();
         }
         if version > SNAPSHOT_WITHOUT_SCANNER_TIME {
-            self.watch.read_newer(&mut from)?;
+            self.watch.read_layout_13(&mut from)?;
         } else {
-            self.watch.forget_newer();
+            self.watch.forget_layout_13();
         }
         match from.len() {
             0 => Ok(()),
@@ -524,7 +526,10 @@ impl Robot {
 
     fn watch_calibration(&mut self, input: &TickInput<'_>, events: &mut Vec<Event>) {
         let found = self.watch.advance(&input.wheel.odom, input.wheel.time_ns);
-        events.extend(found.map(|change| Event::CalibrationChanged { change }));
+        events.extend(found.map(|report| match report {
+            Report::Changed(change) => Event::CalibrationChanged { change },
+            Report::Withdrawn(withdrawal) => Event::CalibrationChangeWithdrawn { withdrawal },
+        }));
     }
 
     /// What the robot finds of its own calibration while it drives.
@@ -726,12 +731,12 @@ impl Robot {
         let located = self.location.update(&self.wheel_frame.apply(&corrected), scan);
         self.poses = located.poses;
         // What another program's poses have corrected is not what the wheels say.
-        let by_wheels = corrected.wheel.odom == input.wheel.odom;
-        if let Some(leg) = located.leg.filter(|_| by_wheels) {
+        let is_raw = corrected.wheel.odom == input.wheel.odom;
+        if let Some(leg) = located.leg.filter(|_| is_raw) {
             self.watch.see_leg(&leg, &self.config.localization);
         }
         if let Some(scan) = scan {
-            let matched = located.matched_scan.filter(|_| by_wheels).map(|by_scans| MatchedScan {
+            let matched = located.matched_scan.filter(|_| is_raw).map(|by_scans| MatchedScan {
                 time_ns: scan.middle_ns(),
                 by_wheels: input.scan_odom,
                 by_scans,
