@@ -199,8 +199,9 @@ const SUSPECTED: f64 = 3.0;
 /// The camera's mount is known well enough to confirm or withdraw a report when this many of its standard deviations are smaller than
 /// what matters.
 const CONFIRMED: f64 = 3.0;
-/// The wheels are not waited for any longer after this many blocks, half of the window: the camera is said to be late. Our own choice.
-const UNDECIDED_BLOCKS: usize = 20;
+/// The wheels are not waited for any longer after this many blocks, most of the window: the camera is said to be late. With 20 of them,
+/// two of 20 robots with a late scanner named the camera first, with 36 one (docs/calibration.md).
+const UNDECIDED_BLOCKS: usize = 36;
 /// The changes of the first ten parameters are in the part of the memory that old snapshots have.
 const OLD_PARAMETERS: usize = Watched::LidarLatency as usize;
 
