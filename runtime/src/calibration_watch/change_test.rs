@@ -33,7 +33,7 @@ const NOISE_PRIOR: f64 = 4.0;
 const LEAST_NOISE_BLOCKS: f64 = 16.0;
 /// Of what came between the beginning of the run and the window, this share remains with the next block.
 const MIDDLE_MEMORY: f64 = 0.95;
-/// Equations with less information than this many times the expected one say little of a parameter.
+/// Equations with less information than this many times that of the expected value say little of a parameter. Our own choice.
 const LEAST_SAID: f64 = 3.0;
 /// A change of which this share was there before it seems to begin has come slowly.
 const SLOW_SHARE: f64 = 0.3;

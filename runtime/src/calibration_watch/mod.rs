@@ -147,9 +147,10 @@ const LEAST_NOISE: f64 = 0.05;
 /// error in every frame, so that the noise from block to block does not show it: over eight blocks it was 0.4 to 3.4 in 15 simulated drives
 /// (docs/calibration.md).
 const YAW_NOISE: f64 = 3.0;
-/// Least noise of the camera's pitch and roll, as a share of the stated one. Few blocks have much more noise than most. In a simulated
-/// hour (docs/calibration.md) the largest false changes had 3.7 and 3.6 standard deviations; with a least noise of 0.15 that of the pitch
-/// had 5.0. The expected noise of 0.5 names 1 degree of pitch in nine of fourteen stretches of it, and 1.0 in none.
+/// Least noise of the camera's pitch and roll, as a share of the stated one, because a few blocks have much more noise than the others.
+/// In a simulated hour (docs/calibration.md) the largest false changes of both had 3.7 and 3.6 standard deviations; with a least noise
+/// of 0.15 that of the pitch had 5.0. With the expected noise of 0.5 ([`CAMERA`]), 1 degree of pitch was named in nine of fourteen
+/// stretches of that hour, with 1.0 in none.
 const LEAST_PITCH_NOISE: f64 = 0.2;
 const LEAST_ROLL_NOISE: f64 = 0.4;
 

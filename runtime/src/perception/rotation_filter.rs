@@ -44,8 +44,8 @@ const MARGIN: f64 = 8.0;
 /// With fewer cells than this, flow is not used.
 const LEAST_CELLS: usize = 25;
 /// An image says something of the camera's mount only if this share of the cells has flow, and if the mean weight of their robust loss
-/// is at least the next number: on a bare wall, flow is wrong in many cells in the same way. In 300 s of the simulated hour of
-/// docs/calibration.md, the pitch by a frame with less had an error of .2 to .7 of the stated one, with more .04 to .1.
+/// is at least the next number: on a bare wall, the flow of many cells is wrong. In 300 s of the simulated hour of docs/calibration.md,
+/// the pitch by a frame with a smaller weight had an error of 0.2 to 0.7 of the stated one, with a larger weight 0.04 to 0.1.
 const LEAST_MOUNT_CELLS: f64 = 0.4;
 const LEAST_AGREEMENT: f64 = 0.4;
 /// Scale of the robust loss from one iteration to the next, pixels: it first includes far outliers.
