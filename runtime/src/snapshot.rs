@@ -7,10 +7,12 @@
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Increased whenever the layout of anything remembered changes. Snapshots of other layouts than the three here are refused;
+/// Increased whenever the layout of anything remembered changes. Snapshots of other layouts than the four here are refused;
 /// recordings stay readable.
-pub const SNAPSHOT_VERSION: u32 = 13;
-/// The layout before, which lacks only what the robot knows of the scanner's latency and of the camera before it was turned, at its
+pub const SNAPSHOT_VERSION: u32 = 14;
+/// The layout before, which lacks the maps of a robot that has several, at its end. It is read as that of a robot with one map.
+pub const SNAPSHOT_WITHOUT_SEPARATE_MAPS: u32 = 13;
+/// The layout before that, which also lacks what the robot knows of the scanner's latency and of the camera before it was turned, at its
 /// end. It is read as that of a robot that knows nothing of them, which finds a change of them later than the robot that wrote it.
 pub const SNAPSHOT_WITHOUT_SCANNER_TIME: u32 = 12;
 /// The layout before that, which also lacks the memory of the inertial unit. It is read as that of a robot without a unit.

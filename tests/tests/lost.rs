@@ -139,3 +139,55 @@ fn a_robot_in_the_saved_map_of_a_home_whose_furniture_was_moved_finds_itself_and
     // Nowhere wrongly.
     found_among_moved_furniture("house?seed=1", 4, three);
 }
+
+/// The free place that is furthest from everything that the robot has mapped.
+fn unknown_place(scenario: &Scenario, world: &World, t_map_world: &Pose2) -> Pose2 {
+    let known: Vec<[f64; 2]> = {
+        let map = scenario.robot().map();
+        map.known_cells().step_by(7).map(|(cell, _)| map.center_m(cell)).collect()
+    };
+    let plan = world.floor_plan();
+    let mut best = (0.0, Pose2::IDENTITY);
+    for x in 0..200 {
+        for y in 0..200 {
+            let place = Pose2::new(0.1 * f64::from(x) - 10.0, 0.1 * f64::from(y) - 10.0, 1.0);
+            if !plan.fits(place.x_m, place.y_m, &[]) {
+                continue;
+            }
+            let (x_m, y_m) = t_map_world.transform(place.x_m, place.y_m);
+            let nearest = known.iter().map(|[kx, ky]| (kx - x_m).hypot(ky - y_m));
+            let nearest_m = nearest.fold(f64::INFINITY, f64::min);
+            if nearest_m > best.0 {
+                best = (nearest_m, place);
+            }
+        }
+    }
+    best.1
+}
+
+#[test]
+fn probe() {
+    for home in ["apartment?seed=1", "apartment?seed=2", "house?seed=1", "house?seed=2", "office?seed=1"] {
+    let mut scenario = in_home(home, 4);
+    let (t_map_world, poses) = explore(&mut scenario);
+    let world = World::open(&format!("builtin:{home}"), &OpenOptions::default()).unwrap();
+    let place = unknown_place(&scenario, &world, &t_map_world);
+    println!("{home} {place:?} from {:?}", poses.last());
+    scenario.carry_to(place);
+    for index in 0..3000 {
+        let tick = scenario.tick().unwrap();
+        for event in &tick.decision.events {
+            let needs_person = matches!(event, Event::Safety { what: SafetyEvent::Faulted { why } } if why.needs_person());
+            if needs_person { scenario.request(Request::ClearFault); scenario.tick().unwrap(); scenario.request(Request::Arm); }
+            if matches!(event, Event::Lost{..} | Event::MapBegun | Event::MapsJoined{..} | Event::StandsLost | Event::Found{..} | Event::Explored) {
+                let truth = t_map_world.compose(&tick.pose);
+                println!("{index} {event:?} error {:?}", truth.inverse().compose(&tick.decision.t_map_base()));
+            }
+        }
+        if index % 500 == 499 {
+            let truth = t_map_world.compose(&tick.pose);
+            println!("{index} maps {} cells {} error {:?}", scenario.robot().maps(), scenario.robot().map().known_cells().count(), truth.inverse().compose(&tick.decision.t_map_base()));
+        }
+    }
+    }
+}

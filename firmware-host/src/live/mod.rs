@@ -218,7 +218,7 @@ fn change_areas<D: Devices>(
         tracing::error!("{error}");
         return;
     }
-    if let Some(Err(error)) = map.map(|map| map.change_areas(change)) {
+    if let Some(Err(error)) = map.map(|map| map.change_areas(change, session.robot())) {
         tracing::error!("the closed areas are not kept: {}", failure::sentence(&error));
     }
 }

@@ -20,6 +20,8 @@ pub struct KeptMap {
     scanner_height_m: f64,
     /// BLAKE3 digest of the state that the run began with; `None` for a new map.
     loaded: Option<String>,
+    /// The highest number of a map in the file. The robot may begin further ones.
+    newest_loaded: u16,
     /// The scanner that the loaded map was made with.
     scanner: Option<ScanGeometry>,
     areas: DrawnAreas,
@@ -38,6 +40,7 @@ impl KeptMap {
             path: path.to_owned(),
             scanner_height_m,
             loaded: None,
+            newest_loaded: 0,
             scanner: None,
             areas: DrawnAreas::beside(path)?,
             writing: None,
@@ -62,7 +65,8 @@ impl KeptMap {
             .load_map_state(&file.state)
             .with_context(|| format!("cannot use the map {}", path.display()))?;
         let loaded = Some(blake3::hash(&file.state).to_hex().to_string());
-        Ok(Self { loaded, scanner: robot.scanner(), ..kept })
+        let newest_loaded = robot.newest_map();
+        Ok(Self { loaded, newest_loaded, scanner: robot.scanner(), ..kept })
     }
 
     /// BLAKE3 digest of the map state that the run began with, in hex; `None` for a new map.
@@ -79,9 +83,40 @@ impl KeptMap {
     /// Keeps a change of the areas for the next runs.
     ///
     /// # Errors
-    /// When it cannot be written.
-    pub fn change_areas(&mut self, change: AreaChange) -> Result<()> {
+    /// When it cannot be written, and when the robot is in a map that the file does not hold: the area's place in that of the file is not
+    /// known.
+    pub fn change_areas(&mut self, change: AreaChange, robot: &Robot) -> Result<()> {
+        if self.is_apart(robot) {
+            bail!(
+                "the robot has begun another map than that of {}; draw the area again when both have met",
+                self.path.display()
+            );
+        }
         self.areas.change(change)
+    }
+
+    /// Whether the robot was given a map and is in another one, which it has begun and which has not met it.
+    fn is_apart(&self, robot: &Robot) -> bool {
+        self.loaded.is_some() && robot.map_number() > self.newest_loaded
+    }
+
+    /// The file that the robot's maps are written to, or why they are not written. A robot that is lost leaves the file as it was, and so
+    /// does one in another map: a person decides whether the maps belong together.
+    fn target(&self, robot: &Robot) -> Result<PathBuf> {
+        if let Some(why) = robot.whereabouts().lost() {
+            bail!("{} stays as it was: {}", self.path.display(), lost_reason(why));
+        }
+        if !self.is_apart(robot) {
+            return Ok(self.path.clone());
+        }
+        let beside = beside(&self.path);
+        tracing::warn!(
+            "{} stays as it was: the robot has begun another map and did not come to a known place of it. Both are in {}, which a later \
+             run can go on with",
+            self.path.display(),
+            beside.display()
+        );
+        Ok(beside)
     }
 
     /// Compares the scanner with that of the loaded map, before the robot gets the scan.
@@ -104,19 +139,18 @@ impl KeptMap {
     }
 
     /// Replaces the file with the robot's map. A robot that never found itself in the loaded map, or that is lost at the end, leaves
-    /// the file as it is.
+    /// the file as it is; a map that it has begun meanwhile is written beside it.
     ///
     /// # Errors
     /// When it cannot be written. The old file then stays.
     pub fn save(&mut self, robot: &Robot) -> Result<()> {
         // Otherwise an earlier map might replace this one.
         self.finish_writing();
-        if let Some(why) = robot.whereabouts().lost() {
-            tracing::warn!("{} stays as it was: {}", self.path.display(), lost_reason(why));
-            return Ok(());
-        }
         let about = About::now(self.scanner_height_m);
-        MapFile { about, state: robot.map_state() }.write(&self.path)?;
+        match self.target(robot) {
+            Ok(path) => MapFile { about, state: robot.map_state() }.write(&path)?,
+            Err(why) => tracing::warn!("{why}"),
+        }
         Ok(())
     }
 
@@ -129,12 +163,9 @@ impl KeptMap {
         if self.writing.as_ref().is_some_and(|writing| !writing.is_finished()) {
             bail!("the map is being written already");
         }
-        if let Some(why) = robot.whereabouts().lost() {
-            bail!("{} stays as it was: {}", self.path.display(), lost_reason(why));
-        }
+        let path = self.target(robot)?;
         let about = About::now(self.scanner_height_m);
         let file = MapFile { about, state: robot.map_state() };
-        let path = self.path.clone();
         self.finish_writing();
         self.writing =
             Some(std::thread::Builder::new().name("map".to_owned()).spawn(move || {
@@ -149,5 +180,27 @@ impl KeptMap {
         if let Some(writing) = self.writing.take() {
             let _ = writing.join();
         }
+    }
+}
+
+/// Where maps that have not met that of `path` are written: `home.separate.map` for `home.map`.
+fn beside(path: &Path) -> PathBuf {
+    let mut name = path.file_stem().unwrap_or_default().to_owned();
+    name.push(".separate");
+    if let Some(extension) = path.extension() {
+        name.push(".");
+        name.push(extension);
+    }
+    path.with_file_name(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_file_of_separate_maps_lies_beside_that_of_the_map_and_keeps_its_extension() {
+        assert_eq!(beside(Path::new("/maps/home.map")), Path::new("/maps/home.separate.map"));
+        assert_eq!(beside(Path::new("home")), Path::new("home.separate"));
     }
 }

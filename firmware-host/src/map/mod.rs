@@ -90,6 +90,9 @@ fn show(path: &Path) -> Result<()> {
     println!("occupied    {:.1} m2", square_metres(&map, CellState::Occupied));
     println!("cells       {} m", map.grid.cell_m());
     println!("submaps     {}", map.submaps);
+    if map.maps > 1 {
+        println!("maps        {}, which have not met; the floor is that of the newest", map.maps);
+    }
     match map.scanner {
         Some(scanner) => println!(
             "scanner     {} beams, {:.1} degrees, {} m above the floor",
@@ -113,7 +116,11 @@ fn caption(file: &MapFile, map: &SavedMap) -> String {
     let free_m2 = square_metres(map, CellState::Free);
     let saved = Timestamp::from_second(file.about.saved_unix_s).unwrap_or_default();
     let saved = saved.strftime("%Y-%m-%d %H:%M UTC");
-    format!("{free_m2:.1} m2 of free floor, {} submaps, saved {saved}", map.submaps)
+    let others = match map.maps {
+        1 => String::new(),
+        maps => format!(", one of {maps} maps that have not met"),
+    };
+    format!("{free_m2:.1} m2 of free floor, {} submaps, saved {saved}{others}", map.submaps)
 }
 
 fn square_metres(map: &SavedMap, state: CellState) -> f64 {

@@ -49,6 +49,12 @@ pub struct EventCounts {
     /// Times that the robot did not know where it was, by reason.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub lost: Reasons,
+    /// Number of maps that the robot began because it did not find itself; absent if it began none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub maps_begun: Option<u64>,
+    /// How many of these became one with the map before; absent if none did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub maps_joined: Option<u64>,
     /// Times that wheels and scans reported different motions, by kind.
     #[serde(skip_serializing_if = "Reasons::is_empty")]
     pub wheels_contradicted: Reasons,
@@ -88,6 +94,8 @@ impl EventCounts {
             Event::NoGoal { why } => count(&mut self.no_goal, why),
             Event::NoDepth { why } => count(&mut self.no_depth, why),
             Event::Lost { why } => count(&mut self.lost, why),
+            Event::MapBegun => *self.maps_begun.get_or_insert(0) += 1,
+            Event::MapsJoined { .. } => *self.maps_joined.get_or_insert(0) += 1,
             Event::WheelsContradicted { how } => count(&mut self.wheels_contradicted, how),
             Event::CalibrationChanged { change } => {
                 count(&mut self.calibration_changed, &change.what);

@@ -10,7 +10,7 @@ use runtime::{
 };
 
 use super::{
-    events::{Reasons, name},
+    events::{EventCounts, Reasons, name},
     fit, percent,
     summary::{LidarLine, Summary},
 };
@@ -105,6 +105,7 @@ fn facts(summary: &Summary) -> Vec<(&'static str, String)> {
         ("no goal", counted(&events.no_goal, "times")),
         ("no depth", counted(&events.no_depth, "frames")),
         ("lost", counted(&events.lost, "times")),
+        ("maps", maps(events)),
         ("wheels", counted(&events.wheels_contradicted, "times")),
         ("calibration", counted(&events.calibration_changed, "changes")),
         ("refused", counted(&events.refused_inputs, "inputs")),
@@ -207,6 +208,12 @@ fn edges(summary: &Summary) -> String {
     let Some(approaches) = summary.edge_approaches else { return String::new() };
     let fall = if summary.fell == Some(true) { ", and fell over one" } else { "" };
     format!("{approaches} times within 0.1 m of an edge of the floor{fall}")
+}
+
+/// The maps that a robot began because it did not find itself.
+fn maps(events: &EventCounts) -> String {
+    let Some(begun) = events.maps_begun else { return String::new() };
+    format!("{begun} begun where the robot was lost, {} joined", events.maps_joined.unwrap_or(0))
 }
 
 fn stuck(summary: &Summary) -> String {

@@ -211,6 +211,8 @@ impl RunLog {
                 Event::Lost { .. }
                     | Event::Found { .. }
                     | Event::StandsLost
+                    | Event::MapBegun
+                    | Event::MapsJoined { .. }
                     | Event::StandsTilted { .. }
                     | Event::LevelAgain
                     | Event::GyroscopeRefused

@@ -212,6 +212,30 @@ impl Explorer {
         self.plan_at = 0;
     }
 
+    /// The robot begins another map, in which places of the one before mean nothing. The run's start is where it is now.
+    pub fn begin_map(&mut self) {
+        self.forget_goal();
+        self.blacklist = Blacklist::default();
+        self.recent_positions_m.clear();
+        self.start = None;
+        self.ending = Ending::default();
+        self.plan_at = 0;
+        self.choose_at = 0;
+    }
+
+    /// The map in which the robot is has become a part of another: as [`move_places`](Self::move_places), and with the areas that a person
+    /// has drawn in it.
+    pub fn join_maps(&mut self, moved: impl Fn([f64; 2]) -> [f64; 2]) {
+        self.navigator.move_drawn_areas(&moved);
+        self.move_places(moved);
+    }
+
+    /// Whether the policy chooses where the robot goes: no operator has given it another task, and it does not return to its start.
+    #[must_use]
+    pub fn is_exploring(&self) -> bool {
+        self.errand.is_none()
+    }
+
     fn step_errand(&mut self, senses: &Observations<'_>, events: &mut Vec<Event>) -> Primitive {
         let Some(errand) = &mut self.errand else { return Primitive::Stay };
         let mut means = Means {

@@ -75,6 +75,21 @@ impl Query {
     }
 }
 
+/// The path that loops are searched for in.
+#[derive(Clone, Copy)]
+pub(crate) struct Path<'a> {
+    pub submaps: &'a Submaps,
+    pub graph: &'a PoseGraph,
+    /// The map of each submap. Loops are closed within one map.
+    pub map_of: &'a [u16],
+}
+
+impl Path<'_> {
+    fn is_same_map(&self, one: u32, other: u32) -> bool {
+        self.map_of.get(one as usize) == self.map_of.get(other as usize)
+    }
+}
+
 /// Searches. Its memory follows from the query and the submaps.
 pub(crate) struct Closing {
     grid: SearchGrid,
@@ -100,7 +115,8 @@ impl Closing {
     }
 
     /// Chooses the pieces of path where a finished submap may be.
-    pub(crate) fn query(&mut self, submap: u32, submaps: &Submaps, graph: &PoseGraph) -> Query {
+    pub(crate) fn query(&mut self, submap: u32, path: &Path<'_>) -> Query {
+        let Path { submaps, graph, .. } = *path;
         let poses = graph.poses();
         let here = poses[submap as usize];
         let keyframe = submaps.all()[submap as usize].keyframe;
@@ -110,7 +126,8 @@ impl Closing {
             let Some(covariance) = covariance else { continue };
             let other = &submaps.all()[index];
             let apart = keyframe.saturating_sub(other.keyframe);
-            if apart < MIN_KEYFRAMES_APART || other.stretches.is_empty() {
+            let is_near = apart < MIN_KEYFRAMES_APART || other.stretches.is_empty();
+            if is_near || !path.is_same_map(submap, index as u32) {
                 continue;
             }
             let drift_m = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
@@ -130,17 +147,17 @@ impl Closing {
         let mut pieces = Vec::with_capacity(middles.len());
         for middle in middles.iter().rev() {
             let Some(covariance) = covariances[*middle as usize] else { continue };
-            let window = window(*middle, &here, &covariance, poses);
+            let window = window(*middle, &here, &covariance, path);
             pieces.push(Piece { middle: *middle, window });
         }
         Query { submap, pieces, search: None, closures: Vec::new() }
     }
 
     /// Goes on with a query. Returns the operations it took; 0 when the query is over.
-    pub(crate) fn step(&mut self, query: &mut Query, submaps: &Submaps, graph: &PoseGraph) -> u64 {
+    pub(crate) fn step(&mut self, query: &mut Query, path: &Path<'_>) -> u64 {
         let Some(Piece { middle, window }) = query.pieces.last().cloned() else { return 0 };
         if self.made_for != Some((query.submap, middle)) {
-            self.make(query.submap, middle, submaps, graph);
+            self.make(query.submap, middle, path);
         }
         // Counted with the search and not with the work: a restored localizer makes the piece again.
         let mut operations = if query.search.is_none() { PIECE_OPERATIONS } else { 0 };
@@ -149,7 +166,7 @@ impl Closing {
             return operations + self.grid.step(search) + 1000;
         }
         operations += REFINE_OPERATIONS * search.places().len() as u64 + 1;
-        let found = self.refine(search, query.submap, submaps);
+        let found = self.refine(search, query.submap, path.submaps);
         if let Some(alignment) = found {
             query.closures.push(closure(middle, query.submap, &alignment));
         }
@@ -162,7 +179,8 @@ impl Closing {
     }
 
     /// Puts a piece of path into grid and surfaces, in the frame of its middle.
-    fn make(&mut self, submap: u32, middle: u32, submaps: &Submaps, graph: &PoseGraph) {
+    fn make(&mut self, submap: u32, middle: u32, path: &Path<'_>) {
+        let Path { submaps, graph, .. } = *path;
         self.made_for = Some((submap, middle));
         self.grid.clear();
         self.surfaces.clear([0.0; 2]);
@@ -171,7 +189,8 @@ impl Closing {
         let keyframe = submaps.all()[submap as usize].keyframe;
         for index in middle.saturating_sub(PIECE)..=middle + PIECE {
             let Some(other) = submaps.all().get(index as usize) else { continue };
-            if other.keyframe + MIN_KEYFRAMES_APART > keyframe {
+            let is_near = other.keyframe + MIN_KEYFRAMES_APART > keyframe;
+            if is_near || !path.is_same_map(submap, index) {
                 continue;
             }
             let pose = to_middle.compose(&poses[index as usize]);
@@ -204,7 +223,8 @@ impl Closing {
 
 /// Where the submap at `here` may be in the frame of the middle of a piece: within three standard deviations of where it is
 /// believed to be, and so near the piece's path that they see the same.
-fn window(middle: u32, here: &Pose2, covariance: &Matrix3<f64>, poses: &[Pose2]) -> Window {
+fn window(middle: u32, here: &Pose2, covariance: &Matrix3<f64>, path: &Path<'_>) -> Window {
+    let poses = path.graph.poses();
     let to_middle = poses[middle as usize].inverse();
     let believed = to_middle.compose(here);
     let yaw = covariance[(2, 2)].sqrt();
@@ -214,8 +234,9 @@ fn window(middle: u32, here: &Pose2, covariance: &Matrix3<f64>, poses: &[Pose2])
     let mut low = [f64::INFINITY; 2];
     let mut high = [f64::NEG_INFINITY; 2];
     let end = (middle + PIECE).min(poses.len() as u32 - 1);
-    for pose in &poses[middle.saturating_sub(PIECE) as usize..=end as usize] {
-        let there = to_middle.compose(pose);
+    let piece = middle.saturating_sub(PIECE)..=end;
+    for index in piece.filter(|index| path.is_same_map(middle, *index)) {
+        let there = to_middle.compose(&poses[index as usize]);
         for (axis, value) in [there.x_m, there.y_m].into_iter().enumerate() {
             low[axis] = low[axis].min(value - REACH_M);
             high[axis] = high[axis].max(value + REACH_M);

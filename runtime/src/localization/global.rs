@@ -8,10 +8,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::snapshot::{SnapshotError, State, remembers};
 
-use super::closing::{Closing, Query};
+use super::closing::{Closing, Path, Query};
 use super::local::Keyframe;
 use super::map_search::KnownMap;
 use super::pose_graph::{Edge, PoseGraph};
+use super::relocalizer::FoundIn;
 use super::scan_points::Stretch;
 use super::submaps::Submaps;
 
@@ -53,6 +54,8 @@ pub(crate) struct GlobalMap {
     graph: PoseGraph,
     /// Poses in `map` as of the last correction. The graph's are being improved.
     published: Vec<Pose2>,
+    /// The map that each submap belongs to. Poses of different maps say nothing about each other, although all are in `map`.
+    map_of: Vec<u16>,
     revision: u64,
     /// Closures that were accepted so far.
     closed: u64,
@@ -63,6 +66,7 @@ pub(crate) struct GlobalMap {
     closing: Closing,
 }
 
+// `map_of` is new in layout 14: see `write_layout_14`.
 remembers!(GlobalMap: submaps, graph, published, revision, closed, queue, query, solving);
 
 impl GlobalMap {
@@ -71,6 +75,7 @@ impl GlobalMap {
             submaps: Submaps::new(),
             graph: PoseGraph::default(),
             published: Vec::new(),
+            map_of: Vec::new(),
             revision: 0,
             closed: 0,
             queue: VecDeque::new(),
@@ -124,6 +129,7 @@ impl GlobalMap {
                 None => {
                     self.graph.begin(*pose);
                     self.published.push(*pose);
+                    self.map_of.push(0);
                 }
             }
         }
@@ -144,6 +150,7 @@ impl GlobalMap {
         self.graph.drive(t_last_new, information);
         if let Some(before) = self.published.last() {
             self.published.push(before.compose(&t_last_new));
+            self.map_of.push(self.map());
         }
         self.queue.push_back(finished);
     }
@@ -153,30 +160,110 @@ impl GlobalMap {
         self.submaps.finish();
     }
 
-    /// All surfaces. They do not change while [`settle_poses`](Self::settle_poses) has nothing to do.
+    /// All surfaces, and the map that the robot is in. They do not change while the revision stays, and while
+    /// [`settle_poses`](Self::settle_poses) has nothing to do.
     pub(crate) fn known(&self) -> KnownMap<'_> {
-        KnownMap { submaps: self.submaps.all(), poses: &self.published }
+        KnownMap {
+            submaps: self.submaps.all(),
+            poses: &self.published,
+            map_of: &self.map_of,
+            map: self.map(),
+        }
+    }
+
+    /// Number of the map that the robot is in.
+    pub(crate) fn map(&self) -> u16 {
+        self.map_of.last().copied().unwrap_or(0)
+    }
+
+    /// Number of the map that a submap belongs to: that of the robot for one that has not begun.
+    pub(crate) fn map_of(&self, submap: usize) -> u16 {
+        self.map_of.get(submap).copied().unwrap_or_else(|| self.map())
+    }
+
+    /// Whether there are maps in which the robot is not.
+    pub(crate) fn has_other_maps(&self) -> bool {
+        self.map_of.iter().any(|map| *map != self.map())
+    }
+
+    /// The numbers of all maps, the newest last.
+    pub(crate) fn maps(&self) -> impl Iterator<Item = u16> {
+        let newest = self.map_of.iter().copied().max();
+        (0..=newest.unwrap_or(0)).filter(|map| self.map_of.contains(map))
     }
 
     /// A lost robot is found at `pose` in `odom`. Begins a submap there, with what it has seen lately. The new submap is joined to
-    /// the nearest one by that place alone, because the robot may have been carried.
+    /// the nearest one of the map by that place alone, because the robot may have been carried.
     pub(crate) fn join<'a>(
         &mut self,
         pose: &Pose2,
-        t_map_odom: &Pose2,
+        found: &FoundIn,
         keyframes: impl Iterator<Item = &'a Keyframe>,
     ) {
-        let in_map = t_map_odom.compose(pose);
-        let distances = self.published.iter().map(|submap| submap.distance_m(&in_map)).enumerate();
-        let nearest = distances.min_by(|a, b| a.1.total_cmp(&b.1));
-        let (Some((nearest, _)), Some(last)) = (nearest, self.graph.poses().last()) else { return };
+        let in_map = found.t_map_odom.compose(pose);
+        let Some(last) = self.graph.poses().last() else { return };
         let t_last_new = last.inverse().compose(&in_map);
         let to = self.published.len() as u32;
-        let t_from_to = self.published[nearest].inverse().compose(&in_map);
-        let information = precision(FOUND_M, FOUND_RAD);
+        self.close_at(found.map, to, &in_map);
         self.graph.drive(t_last_new, Matrix3::from_diagonal_element(GAP_INFORMATION));
-        self.graph.close(Edge { from: nearest as u32, to, t_from_to, information, weight: 1.0 });
-        self.begin_after_gap(pose, in_map, keyframes);
+        self.begin_after_gap(pose, in_map, found.map, keyframes);
+    }
+
+    /// Joins submap `to`, which is at `in_map`, to the nearest submap of a map.
+    fn close_at(&mut self, map: u16, to: u32, in_map: &Pose2) {
+        let submaps = self.published.iter().zip(&self.map_of).enumerate();
+        let of_map = submaps.filter(|(_, (_, of))| **of == map);
+        let distances = of_map.map(|(index, (pose, _))| (index, pose.distance_m(in_map)));
+        let Some((from, _)) = distances.min_by(|a, b| a.1.total_cmp(&b.1)) else { return };
+        let t_from_to = self.published[from].inverse().compose(in_map);
+        let information = precision(FOUND_M, FOUND_RAD);
+        self.graph.close(Edge { from: from as u32, to, t_from_to, information, weight: 1.0 });
+    }
+
+    /// Begins another map with a submap at `pose` in `odom`: where that is in the maps before is not known. Its poses go on
+    /// from the last one of the map before, as those of any other frame would do.
+    pub(crate) fn begin_map<'a>(
+        &mut self,
+        pose: &Pose2,
+        keyframes: impl Iterator<Item = &'a Keyframe>,
+    ) {
+        let Some(newest) = self.map_of.iter().max() else { return };
+        let map = newest + 1;
+        let in_map = self.t_map_odom().compose(pose);
+        let Some(last) = self.graph.poses().last() else { return };
+        let t_last_new = last.inverse().compose(&in_map);
+        self.graph.drive(t_last_new, Matrix3::from_diagonal_element(GAP_INFORMATION));
+        self.begin_after_gap(pose, in_map, map, keyframes);
+    }
+
+    /// The robot's map and another one have met. The robot's map becomes a part of the other, and loops between both are searched for.
+    /// Returns how its submaps have moved: `new = correction * old`.
+    pub(crate) fn join_maps(&mut self, found: &FoundIn) -> Pose2 {
+        let correction = found.t_map_odom.compose(&self.t_map_odom().inverse());
+        let joined = self.map();
+        let newest = self.current() as u32;
+        for index in 0..self.published.len() {
+            if self.map_of[index] == joined {
+                self.published[index] = correction.compose(&self.published[index]);
+                if (index as u32) < newest && !self.queue.contains(&(index as u32)) {
+                    self.queue.push_back(index as u32);
+                }
+            }
+            // What has been improved since the last correction begins again.
+            self.graph.set_pose(index, self.published[index]);
+        }
+        let in_map = self.published[newest as usize];
+        self.close_at(found.map, newest, &in_map);
+        for map in &mut self.map_of {
+            if *map == joined {
+                *map = found.map;
+            }
+        }
+        // A search that has begun knows the poses of before. The submap that it was for is among those of the queue.
+        self.query = None;
+        self.solving = Some(Solving { steps: 0, rounds: 0 });
+        self.revision += 1;
+        correction
     }
 
     /// A lost robot is where its wheels say, at `pose` in `odom`. Begins a submap there.
@@ -191,13 +278,14 @@ impl GlobalMap {
         let t_last_new = last.t_odom.inverse().compose(pose);
         let in_map = before.compose(&t_last_new);
         self.graph.drive(t_last_new, precision(WHEELS_M, WHEELS_RAD));
-        self.begin_after_gap(pose, in_map, keyframes);
+        self.begin_after_gap(pose, in_map, self.map(), keyframes);
     }
 
     fn begin_after_gap<'a>(
         &mut self,
         pose: &Pose2,
         in_map: Pose2,
+        map: u16,
         keyframes: impl Iterator<Item = &'a Keyframe>,
     ) {
         self.queue.push_back(self.current() as u32);
@@ -206,6 +294,7 @@ impl GlobalMap {
             self.submaps.add(&keyframe.pose, &keyframe.stretches);
         }
         self.published.push(in_map);
+        self.map_of.push(map);
         self.revision += 1;
     }
 
@@ -248,14 +337,16 @@ impl GlobalMap {
             return self.improve(solving);
         }
         if let Some(query) = &mut self.query {
-            let operations = self.closing.step(query, &self.submaps, &self.graph);
+            let path = Path { submaps: &self.submaps, graph: &self.graph, map_of: &self.map_of };
+            let operations = self.closing.step(query, &path);
             if operations == 0 {
                 self.conclude();
             }
             return operations + 1;
         }
         let Some(submap) = self.queue.pop_front() else { return 1 };
-        self.query = Some(self.closing.query(submap, &self.submaps, &self.graph));
+        let path = Path { submaps: &self.submaps, graph: &self.graph, map_of: &self.map_of };
+        self.query = Some(self.closing.query(submap, &path));
         300 * self.submaps.all().len() as u64 + 1
     }
 
@@ -296,6 +387,21 @@ impl GlobalMap {
     pub(crate) fn restore(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
         State::read(self, from)?;
         self.closing.forget();
+        self.map_of.clear();
+        self.map_of.resize(self.published.len(), 0);
+        Ok(())
+    }
+
+    pub(crate) fn write_layout_14(&self, to: &mut Vec<u8>) {
+        self.map_of.write(to);
+    }
+
+    /// Restores what [`write_layout_14`](Self::write_layout_14) wrote, after the rest of the memory.
+    pub(crate) fn read_layout_14(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.map_of.read(from)?;
+        if self.map_of.len() != self.published.len() {
+            return Err(SnapshotError::Damaged("submaps that belong to no map".to_owned()));
+        }
         Ok(())
     }
 }

@@ -12,7 +12,7 @@ use super::global::GlobalMap;
 use super::gyro_model::GyroAngle;
 use super::local::{LocalTracker, Tracked};
 use super::lost::{Doubt, LostReason, Whereabouts};
-use super::relocalizer::Relocalizer;
+use super::relocalizer::{Relocalizer, Wanted};
 use super::slip::{Slip, WheelError};
 use super::{LocalizationConfig, LocalizationError, ScanFit};
 
@@ -44,6 +44,9 @@ pub struct Estimate {
     pub gyro_refused: bool,
     /// The stretch of the drive that this update's scan ended, if it ended one.
     pub leg: Option<DrivenLeg>,
+    /// The map that the robot was in has met another one and is a part of it, since this update: how its submaps have moved in `map`
+    /// (`new = correction * old`).
+    pub joined: Option<Pose2>,
 }
 
 impl Estimate {
@@ -171,7 +174,7 @@ impl Localizer {
         let leg = self.local.take_leg();
         self.local.predict(wheel, gyro);
         let revision = self.global.revision();
-        self.work();
+        let joined = self.work();
         Estimate {
             t_odom_base_at_scan,
             fit: tracked.map(|tracked| tracked.fit),
@@ -180,6 +183,7 @@ impl Localizer {
             wheel_error,
             gyro_refused: self.local.gyro().is_refused() && !gyro_was_refused,
             leg,
+            joined,
             ..self.estimate()
         }
     }
@@ -192,7 +196,7 @@ impl Localizer {
             // It was moved once more: what it has seen since it was lost was seen from another place.
             Whereabouts::Lost(why) if lost.is_some() => self.lose(why),
             Whereabouts::Lost(_) if !self.doubt.is_doubtful() => {
-                self.relocalizer.offer(self.local.stretches(), &pose);
+                self.relocalizer.offer(self.local.stretches(), &pose, self.global.maps());
             }
             Whereabouts::Lost(_) => {}
             Whereabouts::Localized | Whereabouts::Doubtful => {
@@ -206,25 +210,76 @@ impl Localizer {
                 if tracked.keyframe {
                     self.global.add(&pose, self.local.stretches(), self.local.covariance());
                 }
+                if self.global.has_other_maps() && tracked.matched && !is_doubtful {
+                    let here = self.global.map();
+                    let others = self.global.maps().filter(|map| *map != here);
+                    self.relocalizer.offer(self.local.stretches(), &pose, others);
+                }
             }
         }
         tracked
     }
 
-    /// The global pose's share of an update.
-    fn work(&mut self) {
+    /// The global pose's share of an update. Returns how the robot's map has moved if it has met another one.
+    fn work(&mut self) -> Option<Pose2> {
         if self.whereabouts.lost().is_none() {
-            self.global.work();
-            return;
+            return self.work_localized();
         }
         // The search needs a map that stays as it is.
         if self.global.settle_poses() {
-            return;
+            return None;
         }
-        if let Some(t_map_odom) = self.relocalizer.work(&self.global.known()) {
-            self.global.join(&self.local.pose(), &t_map_odom, self.local.keyframes());
+        if let Some(found) = self.relocalizer.work(&self.global.known()) {
+            self.global.join(&self.local.pose(), &found, self.local.keyframes());
+            self.relocalizer.begin(Wanted::Meeting);
             self.whereabouts = Whereabouts::Localized;
         }
+        None
+    }
+
+    /// Closes loops; while there are none to close, searches for the robot in the other maps, if there are others.
+    fn work_localized(&mut self) -> Option<Pose2> {
+        let was_busy = self.global.is_busy();
+        let revision = self.global.revision();
+        self.global.work();
+        if self.global.revision() != revision {
+            self.relocalizer.restart();
+        }
+        if was_busy {
+            return None;
+        }
+        let found = self.relocalizer.work(&self.global.known())?;
+        let correction = self.global.join_maps(&found);
+        self.relocalizer.begin(Wanted::Meeting);
+        Some(correction)
+    }
+
+    /// A lost robot gives up searching on the spot, and begins another map. While it drives, it is searched for in the maps before;
+    /// when it is found there, its map becomes a part of that one. Without a map before, and when it is not lost, nothing changes.
+    pub fn begin_map(&mut self) {
+        if self.whereabouts.lost().is_some() {
+            self.global.begin_map(&self.local.pose(), self.local.keyframes());
+            self.relocalizer.begin(Wanted::Meeting);
+            self.whereabouts = Whereabouts::Localized;
+        }
+    }
+
+    /// Number of the map that the robot is in: 0, until it has begun another one.
+    #[must_use]
+    pub fn map(&self) -> u16 {
+        self.global.map()
+    }
+
+    /// Number of the map that a submap belongs to.
+    #[must_use]
+    pub fn map_of(&self, submap: usize) -> u16 {
+        self.global.map_of(submap)
+    }
+
+    /// Number of maps whose places in each other are not known; 0 before the first scan.
+    #[must_use]
+    pub fn maps(&self) -> usize {
+        self.global.maps().count()
     }
 
     /// The robot does not know where it is: it was started in a saved map, or the caller knows that it was carried. The map stays
@@ -238,7 +293,7 @@ impl Localizer {
         }
         if !self.global.is_empty() {
             self.global.interrupt();
-            self.relocalizer.begin();
+            self.relocalizer.begin(Wanted::Robot);
             self.whereabouts = Whereabouts::Lost(why);
         }
     }
@@ -252,7 +307,7 @@ impl Localizer {
         }
     }
 
-    /// Scans that were searched for in the map since the robot was lost.
+    /// Scans that were searched for since the robot was lost, or since it began another map.
     #[must_use]
     pub fn scans_searched(&self) -> u32 {
         self.relocalizer.searched()
@@ -264,6 +319,7 @@ impl Localizer {
         let mut bytes = Vec::new();
         State::write(self, &mut bytes);
         self.write_gyro(&mut bytes);
+        self.write_layout_14(&mut bytes);
         bytes
     }
 
@@ -275,6 +331,7 @@ impl Localizer {
         let mut from = snapshot;
         State::read(self, &mut from)?;
         self.read_gyro(&mut from)?;
+        self.read_layout_14(&mut from)?;
         match from.len() {
             0 => Ok(()),
             more => Err(SnapshotError::Damaged(format!("{more} bytes are left over"))),
@@ -288,6 +345,17 @@ impl Localizer {
 
     pub(crate) fn read_gyro(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
         self.local.read_gyro(from)
+    }
+
+    /// What robots with several maps remember.
+    pub(crate) fn write_layout_14(&self, to: &mut Vec<u8>) {
+        self.global.write_layout_14(to);
+        self.relocalizer.write_layout_14(to);
+    }
+
+    pub(crate) fn read_layout_14(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.global.read_layout_14(from)?;
+        self.relocalizer.read_layout_14(from)
     }
 
     /// Does all the work on loop closures that updates have put off.
@@ -357,6 +425,7 @@ impl Localizer {
             wheel_error: None,
             gyro_refused: false,
             leg: None,
+            joined: None,
         }
     }
 
@@ -395,6 +464,7 @@ impl State for Localizer {
         self.doubt.read(from)?;
         self.slip.read(from)?;
         self.relocalizer.read(from)?;
+        self.relocalizer.forget_layout_14();
         self.relocalizer.forget_cache();
         Ok(())
     }

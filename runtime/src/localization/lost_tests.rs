@@ -8,16 +8,16 @@ use super::*;
 use hal::{Pose2, wrap_angle};
 
 /// A robot with its localizer, and what was reported.
-struct Drive {
-    robot: TestRobot,
-    localizer: Localizer,
-    map_from_world: Pose2,
-    lost: Vec<LostReason>,
+pub(super) struct Drive {
+    pub robot: TestRobot,
+    pub localizer: Localizer,
+    pub map_from_world: Pose2,
+    pub lost: Vec<LostReason>,
     wheel_errors: Vec<WheelError>,
 }
 
 impl Drive {
-    fn new(robot: TestRobot) -> Self {
+    pub fn new(robot: TestRobot) -> Self {
         let config = LocalizationConfig::default();
         let localizer = Localizer::new(&config, robot.geometry, Pose2::IDENTITY).unwrap();
         let map_from_world = robot.truth.inverse();
@@ -44,7 +44,7 @@ impl Drive {
         drive
     }
 
-    fn tour(&mut self, places: &[[f64; 2]]) {
+    pub fn tour(&mut self, places: &[[f64; 2]]) {
         for place in places {
             while let Some((forward_m, yaw_rad)) = self.robot.step_to(*place) {
                 self.step(forward_m, yaw_rad);
@@ -52,12 +52,12 @@ impl Drive {
         }
     }
 
-    fn step(&mut self, forward_m: f64, yaw_rad: f64) -> Estimate {
+    pub fn step(&mut self, forward_m: f64, yaw_rad: f64) -> Estimate {
         self.robot.step(forward_m, yaw_rad);
         self.update()
     }
 
-    fn update(&mut self) -> Estimate {
+    pub fn update(&mut self) -> Estimate {
         let was_lost = self.is_lost();
         let scan = self.robot.scan();
         let wheel = self.robot.wheel;
@@ -70,16 +70,16 @@ impl Drive {
     }
 
     /// Stands for some scans. Returns their fits.
-    fn stand(&mut self, steps: usize) -> Vec<Option<ScanFit>> {
+    pub fn stand(&mut self, steps: usize) -> Vec<Option<ScanFit>> {
         (0..steps).map(|_| self.step(0.0, 0.0).fit).collect()
     }
 
-    fn is_lost(&self) -> bool {
+    pub fn is_lost(&self) -> bool {
         self.localizer.estimate().whereabouts.lost().is_some()
     }
 
     /// Rotates on the spot until it is found, for two rotations at most. Returns the steps.
-    fn search(&mut self) -> usize {
+    pub fn search(&mut self) -> usize {
         let steps = (1..=360).find(|_| {
             self.step(0.0, 2.0_f64.to_radians());
             !self.is_lost()
@@ -87,18 +87,18 @@ impl Drive {
         steps.unwrap_or(360)
     }
 
-    fn error(&self) -> Pose2 {
+    pub fn error(&self) -> Pose2 {
         let truth = self.map_from_world.compose(&self.robot.truth);
         truth.inverse().compose(&self.localizer.estimate().t_map_base())
     }
 
-    fn assert_right(&self, within_m: f64) {
+    pub fn assert_right(&self, within_m: f64) {
         let error = self.error();
         let radians = wrap_angle(error.yaw_rad).abs();
         assert!(error.x_m.hypot(error.y_m) < within_m && radians < 0.02, "{error:?}");
     }
 
-    fn submaps_in_map(&self) -> Vec<Pose2> {
+    pub fn submaps_in_map(&self) -> Vec<Pose2> {
         (0..).map_while(|index| self.localizer.submap_in_map(index)).collect()
     }
 }

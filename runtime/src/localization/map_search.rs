@@ -38,11 +38,23 @@ const RIVAL_SHARE: f32 = 0.85;
 const RIVAL_M: f64 = 0.2;
 const RIVAL_RAD: f64 = 0.08;
 
-/// The submaps with their poses in `map`.
+/// One map: those of the submaps that belong to it, with their poses.
 #[derive(Clone, Copy)]
 pub(crate) struct KnownMap<'a> {
     pub submaps: &'a [Submap],
     pub poses: &'a [Pose2],
+    /// The map of each submap.
+    pub map_of: &'a [u16],
+    /// The map that is searched in.
+    pub map: u16,
+}
+
+impl KnownMap<'_> {
+    /// The poses of its submaps.
+    fn poses(&self) -> impl Iterator<Item = &Pose2> {
+        let all = self.poses.iter().zip(self.map_of);
+        all.filter(|(_, map)| **map == self.map).map(|(pose, _)| pose)
+    }
 }
 
 /// A pose in `map` where the scan fits.
@@ -90,6 +102,15 @@ impl MapQuery {
         }
     }
 
+    /// The same scan, to be searched for in another map.
+    pub(crate) fn again(&mut self) {
+        self.square = 0;
+        self.entered = 0;
+        self.search = None;
+        self.candidates.clear();
+        self.is_done = false;
+    }
+
     pub(crate) fn is_done(&self) -> bool {
         self.is_done
     }
@@ -112,8 +133,8 @@ pub(crate) struct MapSearch {
     t_base_laser: Pose2,
     grid: SearchGrid,
     surfaces: Surfaces,
-    /// Square, and the submaps that grid and surfaces hold.
-    made: Option<(u32, usize)>,
+    /// Map and square that grid and surfaces hold, and the number of submaps that were gone through.
+    made: Option<(u16, u32, usize)>,
     is_finished: bool,
 }
 
@@ -159,7 +180,9 @@ impl MapSearch {
     /// Enters submaps into grid and surfaces until they hold the first `until`.
     fn enter(&mut self, square: u32, middle: &Pose2, until: usize, map: &KnownMap<'_>) {
         let mut from = match self.made {
-            Some((made_for, entered)) if made_for == square => entered,
+            Some((of_map, of_square, entered)) if of_map == map.map && of_square == square => {
+                entered
+            }
             _ => 0,
         };
         if from == 0 {
@@ -169,7 +192,7 @@ impl MapSearch {
         let to_middle = Pose2::new(-middle.x_m, -middle.y_m, 0.0);
         while from < until {
             let pose = map.poses[from];
-            if pose.distance_m(middle) < OUTSIDE_M {
+            if map.map_of[from] == map.map && pose.distance_m(middle) < OUTSIDE_M {
                 let stretches = &map.submaps[from].stretches;
                 self.grid.insert(stretches, &to_middle.compose(&pose));
                 self.surfaces.insert(stretches, &pose);
@@ -177,7 +200,7 @@ impl MapSearch {
             from += 1;
             self.is_finished = false;
         }
-        self.made = Some((square, from));
+        self.made = Some((map.map, square, from));
     }
 
     fn finish(&mut self) {
@@ -241,10 +264,10 @@ struct Squares {
 impl Squares {
     /// `None` without submaps.
     fn of(map: &KnownMap<'_>) -> Option<Self> {
-        let first = map.poses.first()?;
+        let first = map.poses().next()?;
         let mut low = [first.x_m, first.y_m];
         let mut high = low;
-        for pose in map.poses {
+        for pose in map.poses() {
             for (axis, value) in [pose.x_m, pose.y_m].into_iter().enumerate() {
                 low[axis] = low[axis].min(value);
                 high[axis] = high[axis].max(value);

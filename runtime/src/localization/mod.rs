@@ -32,6 +32,8 @@ mod relocalizer;
 mod scan_points;
 mod search_grid;
 mod seen_through;
+#[cfg(test)]
+mod separate_maps_tests;
 mod slip;
 mod submaps;
 mod surfel_grid;

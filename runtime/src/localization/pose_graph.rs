@@ -92,6 +92,11 @@ impl PoseGraph {
         self.poses.push(pose);
     }
 
+    /// Replaces the pose of a submap, from which the next step begins.
+    pub(crate) fn set_pose(&mut self, index: usize, pose: Pose2) {
+        self.poses[index] = pose;
+    }
+
     pub(crate) fn close(&mut self, closure: Edge) {
         self.closures.push(closure);
     }

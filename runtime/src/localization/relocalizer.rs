@@ -1,26 +1,66 @@
-//! Finds a lost robot in the map.
+//! Finds the robot in its maps.
 //!
+//! A lost robot is searched for in all maps. A robot that has begun another map is searched for in the others, while it drives.
 //! Scans are searched for one after the other, each from another view. A single scan may fit a wrong place: the robot counts as
-//! found only when several in a row, with the robot's own motion between them, name the same place.
+//! found only when several, with the robot's own motion between them, name the same place.
 
 use hal::{Pose2, wrap_angle};
 use serde::{Deserialize, Serialize};
 
-use crate::snapshot::remembers;
+use crate::snapshot::{SnapshotError, State, remembers};
 
 use super::map_search::{KnownMap, MapQuery, MapSearch, Outcome};
 use super::scan_points::Stretch;
 
-/// Operations of one update, about: 5 ms of one core. A lost robot makes no depth and no map meanwhile.
-const OPERATIONS: u64 = 3_000_000;
-/// A scan is searched for after the robot has moved this far since the last one.
-const VIEW_M: f64 = 0.2;
-const VIEW_RAD: f64 = 0.26;
-/// Scans in a row that must name the same place.
-const SIGHTINGS: usize = 3;
 /// Sightings of one place differ by no more than this, metres and radians: two cells of the map.
 const SAME_M: f64 = 0.08;
 const SAME_RAD: f64 = 0.04;
+
+/// Why it searches.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub(crate) enum Wanted {
+    /// The robot is lost, and rotates on the spot.
+    #[default]
+    Robot,
+    /// The robot drives through a map of its own, and may come to a place of another.
+    Meeting,
+}
+
+impl Wanted {
+    /// Operations of one update, about: 3,000,000 take 5 ms of one core. A lost robot makes no depth and no map meanwhile.
+    fn operations(self) -> u64 {
+        match self {
+            Self::Robot => 3_000_000,
+            Self::Meeting => 1_000_000,
+        }
+    }
+
+    /// A scan is searched for after the robot has moved this far since the last one, metres or radians.
+    fn view(self) -> (f64, f64) {
+        match self {
+            Self::Robot => (0.2, 0.26),
+            Self::Meeting => (0.3, 0.5),
+        }
+    }
+
+    /// Scans that must name the same place, and the distance between the two that are furthest apart, metres. From one spot, two
+    /// rooms of the same size look alike; a robot that drives sees more of them.
+    fn evidence(self) -> (usize, f64) {
+        match self {
+            Self::Robot => (3, 0.0),
+            Self::Meeting => (5, 1.5),
+        }
+    }
+
+    /// Sightings that are kept. Those of a lost robot all agree: one that contradicts them is the first of the next place. Of a robot
+    /// that drives, most scans show things that the other map does not have, and a wrong sighting is outvoted.
+    fn kept(self) -> usize {
+        match self {
+            Self::Robot => 3,
+            Self::Meeting => 8,
+        }
+    }
+}
 
 /// A scan has named a place.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -42,18 +82,35 @@ impl Sighting {
     }
 }
 
+/// Where the robot was found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct FoundIn {
+    /// Number of the map.
+    pub map: u16,
+    /// Pose of `odom` in it.
+    pub t_map_odom: Pose2,
+}
+
 /// The search for the robot.
 pub(crate) struct Relocalizer {
     query: Option<MapQuery>,
     /// The pose in `odom` of the scan that is searched for, or that was searched for last.
     view: Option<Pose2>,
-    /// They agree with each other.
+    /// In one map.
     sightings: Vec<Sighting>,
-    /// Scans that were searched for since the robot was lost.
+    /// Scans that were searched for since the search began.
     searched: u32,
+    wanted: Wanted,
+    /// The maps in which the scan has not been searched for, the next one last.
+    maps: Vec<u16>,
+    /// The scan fits several places of a map that was searched.
+    fits_several: bool,
+    /// The map of the sightings.
+    sighted: u16,
     search: MapSearch,
 }
 
+// `wanted`, `maps`, `fits_several` and `sighted` are new in layout 14: see `write_layout_14`.
 remembers!(Relocalizer: query, view, sightings, searched);
 
 impl Relocalizer {
@@ -63,16 +120,26 @@ impl Relocalizer {
             view: None,
             sightings: Vec::new(),
             searched: 0,
+            wanted: Wanted::Robot,
+            maps: Vec::new(),
+            fits_several: false,
+            sighted: 0,
             search: MapSearch::new(t_base_laser),
         }
     }
 
-    /// Begins from nothing: the robot was lost, perhaps once more, and poses in `odom` from before say nothing about now.
-    pub(crate) fn begin(&mut self) {
-        self.query = None;
-        self.view = None;
+    /// Begins from nothing: poses in `odom` from before say nothing about now.
+    pub(crate) fn begin(&mut self, wanted: Wanted) {
         self.sightings.clear();
+        self.view = None;
         self.searched = 0;
+        self.wanted = wanted;
+        self.restart();
+    }
+
+    /// The maps have changed: the scan that is searched for is dropped.
+    pub(crate) fn restart(&mut self) {
+        self.query = None;
         self.search.forget();
     }
 
@@ -81,56 +148,112 @@ impl Relocalizer {
         self.search.forget();
     }
 
-    /// Scans that were searched for since the robot was lost.
+    /// Scans that were searched for since the search began.
     pub(crate) fn searched(&self) -> u32 {
         self.searched
     }
 
-    /// Takes the stretches of a scan that was taken at `pose` in `odom`, if one is wanted.
-    pub(crate) fn offer(&mut self, stretches: &[Stretch], pose: &Pose2) {
+    /// Takes the stretches of a scan that was taken at `pose` in `odom`, if one is wanted, to search for it in `maps`, from the last to the
+    /// first.
+    pub(crate) fn offer(
+        &mut self,
+        stretches: &[Stretch],
+        pose: &Pose2,
+        maps: impl Iterator<Item = u16>,
+    ) {
+        let (view_m, view_rad) = self.wanted.view();
         let is_new = self.view.is_none_or(|view| {
-            view.distance_m(pose) > VIEW_M
-                || wrap_angle(view.yaw_rad - pose.yaw_rad).abs() > VIEW_RAD
+            view.distance_m(pose) > view_m
+                || wrap_angle(view.yaw_rad - pose.yaw_rad).abs() > view_rad
         });
         if self.query.is_none() && is_new {
+            self.maps.clear();
+            self.maps.extend(maps);
+            self.fits_several = false;
             self.query = Some(MapQuery::new(stretches));
             self.view = Some(*pose);
         }
     }
 
-    /// Continues the search with the work of one update. Returns `t_map_odom` when the robot is found.
-    pub(crate) fn work(&mut self, map: &KnownMap<'_>) -> Option<Pose2> {
+    /// Continues the search with the work of one update. Of `known`, the number of the map does not matter.
+    pub(crate) fn work(&mut self, known: &KnownMap<'_>) -> Option<FoundIn> {
         let mut operations = 0;
-        while operations < OPERATIONS {
+        while operations < self.wanted.operations() {
             let query = self.query.as_mut()?;
-            operations += self.search.step(query, map);
-            if query.is_done() {
-                let outcome = query.outcome();
-                self.query = None;
-                self.searched += 1;
-                return self.conclude(outcome);
+            let Some(map) = self.maps.last().copied() else {
+                return self.conclude_nowhere();
+            };
+            operations += self.search.step(query, &KnownMap { map, ..*known });
+            if !query.is_done() {
+                continue;
             }
+            match query.outcome() {
+                Outcome::Here(t_map_base) => return self.conclude(map, t_map_base),
+                Outcome::Several => self.fits_several = true,
+                Outcome::Nowhere => {}
+            }
+            query.again();
+            self.maps.pop();
         }
         None
     }
 
-    fn conclude(&mut self, outcome: Outcome) -> Option<Pose2> {
-        match outcome {
-            // Neither for nor against the place of earlier scans.
-            Outcome::Several => return None,
-            Outcome::Nowhere => {
-                self.sightings.clear();
-                return None;
-            }
-            Outcome::Here(t_map_base) => {
-                let sighting = Sighting { t_odom_base: self.view?, t_map_base };
-                if self.sightings.iter().any(|earlier| !earlier.agrees(&sighting)) {
-                    self.sightings.clear();
-                }
-                self.sightings.push(sighting);
-            }
+    /// A scan that fits several places says nothing for or against the place of earlier scans.
+    fn conclude_nowhere(&mut self) -> Option<FoundIn> {
+        self.query = None;
+        self.searched += 1;
+        if self.wanted == Wanted::Robot && !self.fits_several {
+            self.sightings.clear();
         }
-        let newest = self.sightings.last()?;
-        (self.sightings.len() >= SIGHTINGS).then(|| newest.t_map_odom())
+        None
+    }
+
+    fn conclude(&mut self, map: u16, t_map_base: Pose2) -> Option<FoundIn> {
+        self.query = None;
+        self.searched += 1;
+        let newest = Sighting { t_odom_base: self.view?, t_map_base };
+        let contradicts = self.wanted == Wanted::Robot
+            && self.sightings.iter().any(|earlier| !earlier.agrees(&newest));
+        if contradicts || map != self.sighted {
+            self.sightings.clear();
+        }
+        self.sighted = map;
+        if self.sightings.len() >= self.wanted.kept() {
+            self.sightings.remove(0);
+        }
+        self.sightings.push(newest);
+        self.is_enough(&newest).then(|| FoundIn { map, t_map_odom: newest.t_map_odom() })
+    }
+
+    /// Whether enough sightings agree with the newest one.
+    fn is_enough(&self, newest: &Sighting) -> bool {
+        let (count, apart_m) = self.wanted.evidence();
+        let agreeing = || self.sightings.iter().filter(|earlier| earlier.agrees(newest));
+        let distances =
+            agreeing().map(|earlier| earlier.t_odom_base.distance_m(&newest.t_odom_base));
+        agreeing().count() >= count && distances.fold(0.0, f64::max) >= apart_m
+    }
+
+    pub(crate) fn write_layout_14(&self, to: &mut Vec<u8>) {
+        self.wanted.write(to);
+        self.maps.write(to);
+        self.fits_several.write(to);
+        self.sighted.write(to);
+    }
+
+    pub(crate) fn read_layout_14(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.wanted.read(from)?;
+        self.maps.read(from)?;
+        self.fits_several.read(from)?;
+        self.sighted.read(from)
+    }
+
+    /// What robots with one map remember: those of earlier layouts.
+    pub(crate) fn forget_layout_14(&mut self) {
+        self.wanted = Wanted::Robot;
+        self.maps.clear();
+        self.maps.extend(self.query.is_some().then_some(0));
+        self.fits_several = false;
+        self.sighted = 0;
     }
 }

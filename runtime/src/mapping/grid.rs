@@ -54,7 +54,7 @@ pub struct OccupancyGrid {
     standing: Option<(Cell, f64)>,
     pub(super) collisions: Vec<Collision>,
     pub(super) known: Option<CellBox>,
-    updates: u64,
+    pub(super) updates: u64,
     newly_known: Vec<Cell>,
     digest: blake3::Hasher,
     changes: Vec<u8>,
@@ -66,7 +66,8 @@ pub struct OccupancyGrid {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Collision {
     pub(super) cell: Cell,
-    expires: u64,
+    /// The update after which the mark is removed.
+    pub(super) expires: u64,
 }
 
 impl OccupancyGrid {
@@ -332,12 +333,17 @@ impl OccupancyGrid {
         if log_odds < 0.0 {
             self.top_cm[index] = 0;
         }
-        let stored = (f64::from(log_odds) / self.scale) as f32;
+        let stored = self.stored_as(log_odds);
         self.stored[index] = stored;
         self.section_of[index] = self.section;
         for word in [cell.x as u32, cell.y as u32, stored.to_bits()] {
             self.changes.extend_from_slice(&word.to_le_bytes());
         }
+    }
+
+    /// The value that a cell of these log-odds has in memory.
+    pub(super) fn stored_as(&self, log_odds: f32) -> f32 {
+        (f64::from(log_odds) / self.scale) as f32
     }
 
     fn renormalise(&mut self) {
@@ -353,7 +359,7 @@ impl OccupancyGrid {
 
     /// Moves the window as little as necessary, because cells that leave it become unknown and are
     /// explored again.
-    fn recenter(&mut self, robot: Cell) {
+    pub(super) fn recenter(&mut self, robot: Cell) {
         let old = self.window.center();
         let limit = self.config.follow_cells();
         let center = Cell::new(
@@ -374,7 +380,7 @@ impl OccupancyGrid {
         self.touched.retain(|cell| cells.contains(*cell));
     }
 
-    fn log_odds_at(&self, index: usize) -> f32 {
+    pub(super) fn log_odds_at(&self, index: usize) -> f32 {
         (f64::from(self.stored[index]) * self.scale) as f32
     }
 
@@ -414,7 +420,7 @@ impl OccupancyGrid {
 
     /// The value in [`row`](Self::row) that corresponds to these log-odds.
     pub(crate) fn row_value(&self, log_odds: f32) -> f32 {
-        (f64::from(log_odds) / self.scale) as f32
+        self.stored_as(log_odds)
     }
 
     /// Log-odds of a cell; 0 outside the window.

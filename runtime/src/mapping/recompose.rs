@@ -11,6 +11,7 @@
 use hal::Pose2;
 use serde::{Deserialize, Serialize};
 
+use super::grid::Collision;
 use super::{Cell, CellBox, OccupancyGrid};
 use crate::snapshot::{SnapshotError, State, read_bulk, write_bulk};
 
@@ -140,6 +141,22 @@ impl OccupancyGrid {
         let correction = work.corrections.get(section).copied().unwrap_or(Pose2::IDENTITY);
         let new_box = self.moved_box(old_box, &correction);
         let Some(new_box) = new_box.intersection(self.window.cells()) else { return 0 };
+        self.move_section(section, &correction, new_box, |cell, from| {
+            if let Some(to) = self.window.index(cell) {
+                work.source[to] = from as u32 + 1;
+            }
+        });
+        new_box.width() * new_box.height()
+    }
+
+    /// For each cell of `new_box` on which a cell of the section comes to lie, calls `place` with it and the index of the old one.
+    fn move_section(
+        &self,
+        section: usize,
+        correction: &Pose2,
+        new_box: CellBox,
+        mut place: impl FnMut(Cell, usize),
+    ) {
         let back = correction.inverse();
         let (sin, cos) = back.yaw_rad.sin_cos();
         let cell_m = self.config.cell_m;
@@ -151,17 +168,49 @@ impl OccupancyGrid {
                     back.y_m + sin * x_m + cos * y_m,
                     cell_m,
                 );
-                let (Some(to), Some(from)) =
-                    (self.window.index(Cell::new(x, y)), self.window.index(old))
-                else {
-                    continue;
-                };
+                let Some(from) = self.window.index(old) else { continue };
                 if self.stored[from] != 0.0 && usize::from(self.section_of[from]) == section {
-                    work.source[to] = from as u32 + 1;
+                    place(Cell::new(x, y), from);
                 }
             }
         }
-        new_box.width() * new_box.height()
+    }
+
+    /// Adds the cells of a newer map of the same configuration, each section moved by its correction: where both know a cell, the newer
+    /// map wins. The robot, at `t_map_base`, is on the newer map's current section. About 5 ms for a map of a million cells.
+    pub fn merge(&mut self, newer: &Self, corrections: &[Pose2], t_map_base: &Pose2) {
+        self.recenter(self.cell_at(t_map_base.x_m, t_map_base.y_m));
+        let boxes = newer.known.map_or(Vec::new(), |known| newer.boxes_of_sections(known));
+        for (section, old_box) in boxes.into_iter().enumerate() {
+            let correction = corrections.get(section).copied().unwrap_or(Pose2::IDENTITY);
+            let new_box = old_box.map(|old_box| newer.moved_box(old_box, &correction));
+            let new_box = new_box.and_then(|new_box| new_box.intersection(self.window.cells()));
+            let Some(new_box) = new_box else { continue };
+            newer.move_section(section, &correction, new_box, |cell, from| {
+                if let Some(to) = self.window.index(cell) {
+                    self.stored[to] = self.stored_as(newer.log_odds_at(from));
+                    self.top_cm[to] = newer.top_cm[from];
+                    self.section_of[to] = newer.section_of[from];
+                }
+            });
+        }
+        self.section = newer.section;
+        self.known = self.box_of_known();
+        self.merge_collisions(newer, corrections);
+    }
+
+    /// The marks of collisions of a newer map, which stay for as long as they would have stayed there.
+    fn merge_collisions(&mut self, newer: &Self, corrections: &[Pose2]) {
+        for collision in &newer.collisions {
+            let [x_m, y_m] = collision.cell.center_m(self.config.cell_m);
+            let section = newer.section_at(x_m, y_m).unwrap_or(newer.section);
+            let correction = corrections.get(usize::from(section)).copied();
+            let (x_m, y_m) = correction.unwrap_or(Pose2::IDENTITY).transform(x_m, y_m);
+            let cell = self.cell_at(x_m, y_m);
+            let expires = self.updates + collision.expires.saturating_sub(newer.updates);
+            self.collisions.retain(|known| known.cell != cell);
+            self.collisions.push(Collision { cell, expires });
+        }
     }
 
     fn moved_box(&self, old: CellBox, correction: &Pose2) -> CellBox {

@@ -61,6 +61,18 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         Event::Found { shift_m } => {
             (Info, format!("found: the robot is {shift_m:.2} m from where it was believed to be"))
         }
+        Event::MapBegun => (
+            Warning,
+            "does not recognize this place: begins another map, and joins both when it comes to a place of the one before"
+                .to_owned(),
+        ),
+        Event::MapsJoined { shift_m } => (
+            Info,
+            format!(
+                "recognizes a place of an earlier map: both are one map from now on, and the robot is {shift_m:.2} m from where it was \
+                 in its own"
+            ),
+        ),
         Event::StandsLost => (
             Warning,
             "stopped: the robot is lost and does not recognize this place; move it, or clear the map"

@@ -60,6 +60,8 @@ pub(super) struct Located {
     pub leg: Option<DrivenLeg>,
     /// `t_odom_base` at this tick's scan, if the scan fits.
     pub matched_scan: Option<Pose2>,
+    /// The robot's map has become a part of another one, in this tick.
+    pub joined: bool,
 }
 
 impl Located {
@@ -78,6 +80,7 @@ impl Located {
             gyro_refused: false,
             leg: None,
             matched_scan: None,
+            joined: false,
         }
     }
 }
@@ -130,6 +133,7 @@ impl Location {
             gyro_refused: estimate.gyro_refused,
             leg: estimate.leg,
             matched_scan: estimate.t_odom_base_at_scan.filter(|_| estimate.matched),
+            joined: estimate.joined.is_some(),
         }
     }
 
@@ -149,6 +153,29 @@ impl Location {
         if let Some(localizer) = &mut self.localizer {
             localizer.lose(why);
         }
+    }
+
+    /// See [`Localizer::begin_map`].
+    pub(super) fn begin_map(&mut self) {
+        if let Some(localizer) = &mut self.localizer {
+            localizer.begin_map();
+        }
+    }
+
+    /// Number of the map that the robot is in.
+    pub(super) fn map(&self) -> u16 {
+        self.localizer.as_ref().map_or(0, Localizer::map)
+    }
+
+    /// Number of the map that a submap belongs to.
+    pub(super) fn map_of(&self, submap: usize) -> u16 {
+        self.localizer.as_ref().map_or(0, |localizer| localizer.map_of(submap))
+    }
+
+    /// Pose of `odom` in `map`, as corrected so far.
+    pub(super) fn t_map_odom(&self) -> Pose2 {
+        let estimate = self.localizer.as_ref().map(Localizer::estimate);
+        estimate.map_or(Pose2::IDENTITY, |estimate| self.poses(&estimate).t_map_odom)
     }
 
     /// Standard deviations of the position, metres, and of the yaw, radians, against the scans of the last metres. `None` before
@@ -201,6 +228,18 @@ impl Location {
     /// Restores what [`write_gyro`](Self::write_gyro) wrote, after the rest of the memory.
     pub(super) fn read_gyro(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
         self.localizer.as_mut().map_or(Ok(()), |localizer| localizer.read_gyro(from))
+    }
+
+    /// What robots with several maps remember, in snapshots and saved maps.
+    pub(super) fn write_layout_14(&self, to: &mut Vec<u8>) {
+        if let Some(localizer) = &self.localizer {
+            localizer.write_layout_14(to);
+        }
+    }
+
+    /// Restores what [`write_layout_14`](Self::write_layout_14) wrote, after the rest of the memory.
+    pub(super) fn read_layout_14(&mut self, from: &mut &[u8]) -> Result<(), SnapshotError> {
+        self.localizer.as_mut().map_or(Ok(()), |localizer| localizer.read_layout_14(from))
     }
 
     /// A scanner that cannot localize (too few beams) leaves the robot to its wheels.

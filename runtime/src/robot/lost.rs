@@ -1,4 +1,4 @@
-//! What a lost robot does: it stops, rotates on the spot until it is found, and then stands.
+//! What a lost robot does: it stops, rotates on the spot until it is found, and then begins another map, or stands.
 
 use std::f64::consts::TAU;
 
@@ -40,13 +40,19 @@ impl LostMotion {
         self.search = None;
     }
 
-    /// The desired motion of a robot that is lost, rotating to the left at `yaw_rate_radps` at most. It stands for good when it has
-    /// rotated far enough; scans are searched for all the same, for example while a person moves it.
+    /// It has rotated far enough.
+    pub(super) fn is_over(&self) -> bool {
+        self.search.as_ref().is_some_and(|search| search.is_over)
+    }
+
+    /// The desired motion of a robot that is lost, rotating to the left at `yaw_rate_radps` at most. When it has rotated far enough, it
+    /// `goes_on` with another map, or stands for good; scans are searched for all the same, for example while a person moves it.
     pub(super) fn desired(
         &mut self,
         wheel: &WheelFeedback,
         time_ns: u64,
         yaw_rate_radps: f64,
+        goes_on: bool,
         events: &mut Vec<Event>,
     ) -> Twist2 {
         let yaw_rad = wheel.odom.yaw_rad;
@@ -63,7 +69,7 @@ impl LostMotion {
         }
         if search.rotated_rad >= ROTATES_RAD {
             search.is_over = true;
-            events.push(Event::StandsLost);
+            events.extend((!goes_on).then_some(Event::StandsLost));
             return Twist2::ZERO;
         }
         Twist2 { linear_mps: 0.0, angular_radps: yaw_rate_radps.min(YAW_RATE_RADPS) }
@@ -82,7 +88,8 @@ impl Robot {
     /// The map stays as it is, but the robot is at another place in it: the next tick plans another path.
     pub(super) fn note_found(&mut self, before: &Pose2, events: &mut Vec<Event>) {
         events.push(Event::Found { shift_m: self.poses.t_map_base().distance_m(before) });
-        self.map_correction.jump(&self.location, &mut self.map, self.poses.t_map_odom);
+        self.enter_found_map();
+        self.map_correction.jump(&self.location, &mut self.map, self.location.t_map_odom());
         self.explorer.move_places(|place_m| place_m);
         self.lost_motion.reset();
     }
@@ -124,7 +131,7 @@ mod tests {
                 contact: false,
                 cliff: false,
             };
-            let desired = motion.desired(&wheel, wheel.time_ns, 0.35, &mut events);
+            let desired = motion.desired(&wheel, wheel.time_ns, 0.35, false, &mut events);
             assert!(desired.linear_mps == 0.0);
             assert!(tick >= 10 || desired.angular_radps == 0.0, "tick {tick}");
             yaw_rad = wrap_angle(yaw_rad + 0.1 * desired.angular_radps);

@@ -79,6 +79,33 @@ impl MapCorrection {
         self.begin_section(location, map);
     }
 
+    /// The map that the robot was in is now a part of another, `map`: draws its cells, of `newer`, there. `is_of_newer` says which sections
+    /// are among them.
+    pub(super) fn join(
+        &mut self,
+        location: &Location,
+        map: &mut OccupancyGrid,
+        newer: &OccupancyGrid,
+        is_of_newer: impl Fn(usize) -> bool,
+        t_odom_base: &Pose2,
+    ) -> Moved {
+        self.work = None;
+        self.begin_sections(location);
+        let mut corrections = vec![Pose2::IDENTITY; self.drawn.len()];
+        for (section, drawn) in self.drawn.iter_mut().enumerate() {
+            if is_of_newer(section) {
+                let now = location.submap_in_map(section).unwrap_or(*drawn);
+                corrections[section] = now.compose(&drawn.inverse());
+                *drawn = now;
+            }
+        }
+        let current = corrections.last().copied().unwrap_or(Pose2::IDENTITY);
+        self.in_force = current.compose(&self.in_force);
+        map.merge(newer, &corrections, &self.in_force.compose(t_odom_base));
+        self.begin_section(location, map);
+        Moved { corrections, current }
+    }
+
     /// Number of sections of the map: one for each submap.
     pub(super) fn sections(&self) -> usize {
         self.drawn.len()
@@ -109,12 +136,16 @@ impl MapCorrection {
     /// Cells that are observed from now on belong to the current submap. Submaps that began while the map was drawn anew have no
     /// cells.
     fn begin_section(&mut self, location: &Location, map: &mut OccupancyGrid) {
+        self.begin_sections(location);
+        if let Ok(section) = u16::try_from(location.submap()) {
+            map.begin_section(section);
+        }
+    }
+
+    fn begin_sections(&mut self, location: &Location) {
         while self.drawn.len() <= location.submap() {
             let t_odom_submap = location.submap_in_odom(self.drawn.len());
             self.drawn.push(self.in_force.compose(&t_odom_submap.unwrap_or(Pose2::IDENTITY)));
-        }
-        if let Ok(section) = u16::try_from(location.submap()) {
-            map.begin_section(section);
         }
     }
 
@@ -125,7 +156,9 @@ impl MapCorrection {
         let mut corrections = Vec::with_capacity(self.drawn.len());
         let mut pays = false;
         for (submap, drawn) in self.drawn.iter().enumerate() {
-            let now = location.submap_in_map(submap).unwrap_or(*drawn);
+            // Other maps are corrected when the robot is in them.
+            let is_here = location.map_of(submap) == location.map();
+            let now = location.submap_in_map(submap).filter(|_| is_here).unwrap_or(*drawn);
             pays |= now.distance_m(drawn) > SHIFT_M
                 || wrap_angle(now.yaw_rad - drawn.yaw_rad).abs() > YAW_RAD;
             corrections.push(now.compose(&drawn.inverse()));

@@ -13,6 +13,7 @@ mod refusal_tests;
 mod saved_map;
 #[cfg(test)]
 mod saved_map_tests;
+mod separate_maps;
 #[cfg(test)]
 mod sweep_tests;
 #[cfg(test)]
@@ -41,15 +42,16 @@ use crate::planning::{ConfigError, Primitive};
 use crate::recording::input_digest;
 use crate::safety::SentCommand;
 use crate::snapshot::{
-    SNAPSHOT_VERSION, SNAPSHOT_WITHOUT_IMU, SNAPSHOT_WITHOUT_SCANNER_TIME, SnapshotError, State,
-    remembers,
+    SNAPSHOT_VERSION, SNAPSHOT_WITHOUT_IMU, SNAPSHOT_WITHOUT_SCANNER_TIME,
+    SNAPSHOT_WITHOUT_SEPARATE_MAPS, SnapshotError, State, remembers,
 };
 use crate::tick::{Decision, SafetyReport, TickInput};
 use camera_time::CameraTime;
 use location::Location;
 use lost::LostMotion;
-use map_correction::MapCorrection;
+use map_correction::{MapCorrection, Moved};
 use outside_odometry::OutsideOdometry;
+use separate_maps::SeparateMaps;
 use tilt::Tilt;
 use wheel_frame::WheelFrame;
 
@@ -185,6 +187,7 @@ pub struct Robot {
     tilt: Tilt,
     map_correction: MapCorrection,
     map: OccupancyGrid,
+    separate_maps: SeparateMaps,
     /// The surfaces of the newest scan.
     surfaces: Surfaces,
     /// Maps of the newest single frames, oldest first, from which the policy finds inconsistencies.
@@ -243,6 +246,7 @@ impl Robot {
             tilt: Tilt::default(),
             map_correction: MapCorrection::default(),
             map: OccupancyGrid::new(&config.map)?,
+            separate_maps: SeparateMaps::default(),
             surfaces: Surfaces::default(),
             frame_maps: VecDeque::new(),
             explorer: Explorer::new(
@@ -291,6 +295,8 @@ impl Robot {
         self.location.write_gyro(&mut bytes);
         self.tilt.write(&mut bytes);
         self.watch.write_layout_13(&mut bytes);
+        self.location.write_layout_14(&mut bytes);
+        self.separate_maps.write(&mut bytes);
         bytes
     }
 
@@ -324,6 +330,12 @@ impl Robot {
             self.watch.read_layout_13(&mut from)?;
         } else {
             self.watch.forget_layout_13();
+        }
+        if version > SNAPSHOT_WITHOUT_SEPARATE_MAPS {
+            self.location.read_layout_14(&mut from)?;
+            self.separate_maps = SeparateMaps::read(&self.config.map, &mut from)?;
+        } else {
+            self.separate_maps = SeparateMaps::default();
         }
         match from.len() {
             0 => Ok(()),
@@ -678,7 +690,14 @@ impl Robot {
             if self.explorer.stands() {
                 return Twist2::ZERO;
             }
-            return self.lost_motion.desired(&input.wheel, input.time_ns, yaw_rate, events);
+            let may_begin_map = self.may_begin_map();
+            let motion = &mut self.lost_motion;
+            let desired =
+                motion.desired(&input.wheel, input.time_ns, yaw_rate, may_begin_map, events);
+            if may_begin_map && self.lost_motion.is_over() {
+                self.begin_map(events);
+            }
+            return desired;
         }
         let newest_and_earlier = self.frame_maps.back().zip(self.frame_maps.front());
         let observations = Observations {
@@ -756,19 +775,29 @@ impl Robot {
             (Some(_), None) => self.note_found(&before, events),
             _ => {}
         }
+        if located.joined {
+            self.poses.t_map_odom = self.map_correction.t_map_odom();
+            self.join_maps(events);
+        }
         if let Some(moved) = self.map_correction.update(&self.location, &mut self.map) {
             let before = self.poses.t_map_base();
             events.push(Event::MapCorrected { shift_m: moved.shift_m(&before) });
             let map = &self.map;
             self.explorer.move_places(|place_m| moved.place(map, place_m));
-            for place_m in [&mut self.collision_at, &mut self.unseen_at].into_iter().flatten() {
-                *place_m = moved.place(map, *place_m);
-            }
-            self.frame_maps.clear();
+            self.move_blocked_places(&moved);
             self.dense.correct(moved.corrections());
         }
         self.poses.t_map_odom = self.map_correction.t_map_odom();
         located.twist
+    }
+
+    /// The map has moved, and with it the places where the robot was blocked.
+    fn move_blocked_places(&mut self, moved: &Moved) {
+        let map = &self.map;
+        for place_m in [&mut self.collision_at, &mut self.unseen_at].into_iter().flatten() {
+            *place_m = moved.place(map, *place_m);
+        }
+        self.frame_maps.clear();
     }
 
     /// Until a new command acts, the robot goes on as it does now.
@@ -830,8 +859,7 @@ fn begin_snapshot(snapshot: &[u8]) -> Result<(u32, Option<String>, &[u8]), Snaps
     let mut version = [0_u8; 4];
     version.iter_mut().try_for_each(|byte| byte.read(&mut from))?;
     let found = u32::from_le_bytes(version);
-    let known = [SNAPSHOT_WITHOUT_IMU, SNAPSHOT_WITHOUT_SCANNER_TIME, SNAPSHOT_VERSION];
-    if !known.contains(&found) {
+    if !(SNAPSHOT_WITHOUT_IMU..=SNAPSHOT_VERSION).contains(&found) {
         return Err(SnapshotError::Version { found });
     }
     let mut network = None;

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::location::{Geometry, Location, TickPoses};
 use super::map_correction::MapCorrection;
+use super::separate_maps::SeparateMaps;
 use super::wheel_frame::WheelFrame;
 use super::{Robot, RobotConfig};
 use crate::localization::{LostReason, PoseSource};
@@ -15,8 +16,10 @@ use crate::mapping::{MapConfig, OccupancyGrid};
 use crate::snapshot::{SnapshotError, State};
 
 /// Increased whenever the layout of the grid, of localization, or of the map's correction changes. Older map states are then
-/// refused.
-pub const MAP_STATE_VERSION: u32 = 2;
+/// refused, except the one before.
+pub const MAP_STATE_VERSION: u32 = 3;
+/// The layout before, which lacks the other maps of a robot that has several, at its end.
+const MAP_STATE_OF_ONE_MAP: u32 = 2;
 
 /// Why a map cannot be used. The robot is unchanged.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -114,7 +117,9 @@ impl Robot {
         self.wheel_frame.write(&mut bytes);
         State::write(&self.map, &mut bytes);
         State::write(&self.map_correction, &mut bytes);
+        self.separate_maps.write(&mut bytes);
         State::write(&self.location, &mut bytes);
+        self.location.write_layout_14(&mut bytes);
         bytes
     }
 
@@ -125,12 +130,16 @@ impl Robot {
     /// When the bytes are of another version or of another robot, or damaged. The robot is then unchanged.
     pub fn load_map_state(&mut self, state: &[u8]) -> Result<(), MapStateError> {
         let mut from = state;
-        read_made_with(&mut from)?.check(&self.config)?;
+        let (version, made_with) = read_made_with(&mut from)?;
+        made_with.check(&self.config)?;
         let mut known = Known::empty(&self.config.map)?;
-        known.read(&mut from)?;
+        known.read(&mut from, version)?;
         let location = Location::new(self.config.localization.clone(), self.config.t_base_laser);
         let mut location = location.map_err(|error| MapStateError::Damaged(error.to_string()))?;
         location.read(&mut from)?;
+        if version > MAP_STATE_OF_ONE_MAP {
+            location.read_layout_14(&mut from)?;
+        }
         if !from.is_empty() {
             return Err(MapStateError::Damaged(format!("{} bytes are left over", from.len())));
         }
@@ -140,6 +149,7 @@ impl Robot {
         self.map = known.map;
         self.map_correction = known.map_correction;
         self.location = location;
+        self.separate_maps = known.separate_maps;
         self.lose(LostReason::Loaded);
         Ok(())
     }
@@ -151,19 +161,20 @@ impl Robot {
     }
 }
 
-fn read_made_with(from: &mut &[u8]) -> Result<MadeWith, MapStateError> {
+/// The version, and what the map was made with.
+fn read_made_with(from: &mut &[u8]) -> Result<(u32, MadeWith), MapStateError> {
     let (version, rest) = from
         .split_first_chunk()
         .ok_or_else(|| MapStateError::Damaged("it is truncated".to_owned()))?;
     let found = u32::from_le_bytes(*version);
-    if found != MAP_STATE_VERSION {
+    if !(MAP_STATE_OF_ONE_MAP..=MAP_STATE_VERSION).contains(&found) {
         return Err(MapStateError::Version { found });
     }
     *from = rest;
     let (made_with, rest) = postcard::take_from_bytes(rest)
         .map_err(|error| MapStateError::Damaged(error.to_string()))?;
     *from = rest;
-    Ok(made_with)
+    Ok((found, made_with))
 }
 
 /// The part of a map state that can be read without a scanner.
@@ -172,6 +183,7 @@ struct Known {
     wheel_frame: WheelFrame,
     map: OccupancyGrid,
     map_correction: MapCorrection,
+    separate_maps: SeparateMaps,
 }
 
 impl Known {
@@ -182,14 +194,18 @@ impl Known {
             wheel_frame: WheelFrame::default(),
             map: map.map_err(|error| MapStateError::Damaged(error.to_string()))?,
             map_correction: MapCorrection::default(),
+            separate_maps: SeparateMaps::default(),
         })
     }
 
-    fn read(&mut self, from: &mut &[u8]) -> Result<(), MapStateError> {
+    fn read(&mut self, from: &mut &[u8], version: u32) -> Result<(), MapStateError> {
         self.poses.read(from)?;
         self.wheel_frame.read(from)?;
         self.map.read(from)?;
         self.map_correction.read(from)?;
+        if version > MAP_STATE_OF_ONE_MAP {
+            self.separate_maps = SeparateMaps::read(self.map.config(), from)?;
+        }
         if !self.poses.t_map_base().is_finite() {
             return Err(MapStateError::Damaged("its pose is not finite".to_owned()));
         }
@@ -202,6 +218,8 @@ impl Known {
 pub struct SavedMap {
     /// The occupancy grid, in `map`.
     pub grid: OccupancyGrid,
+    /// Number of maps whose places in each other are not known. The grid is of that in which the robot was.
+    pub maps: usize,
     /// Where the robot was when the map was saved.
     pub t_map_base: Pose2,
     /// Number of submaps of localization.
@@ -217,10 +235,11 @@ impl SavedMap {
     /// When the bytes are of another version, or damaged.
     pub fn read(state: &[u8]) -> Result<Self, MapStateError> {
         let mut from = state;
-        let made_with = read_made_with(&mut from)?;
+        let (version, made_with) = read_made_with(&mut from)?;
         let mut known = Known::empty(&grid_config(&made_with))?;
-        known.read(&mut from)?;
+        known.read(&mut from, version)?;
         Ok(Self {
+            maps: known.separate_maps.count(),
             t_map_base: known.poses.t_map_base(),
             submaps: known.map_correction.sections(),
             grid: known.map,
