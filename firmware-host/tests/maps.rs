@@ -256,15 +256,41 @@ fn in_the_map_of_another_home_the_robot_stays_lost_and_the_file_stays_as_it_is()
     let map = home.text("home.map");
     home.explored("run", "120", &["--map", &map]);
     let saved = std::fs::read(&map).unwrap();
-    for scene in ["builtin:house?seed=2", "builtin:office?seed=1"] {
-        let output = home.explore_in(scene, "elsewhere", "300", &["--map", &map]);
-        let said = text(&output.stderr);
-        assert!(output.status.success() && said.contains("home.map stays as it was"), "{said}");
-        assert!(said.contains("the robot was started in a saved map"), "{said}");
-        let ticks = ticks(&home.path("elsewhere"));
-        let is_lost = |tick: &RecordedTick| tick.decision.as_ref().unwrap().lost.is_some();
-        assert!(ticks.len() == 300 && ticks.iter().all(is_lost));
-        assert!(std::fs::read(&map).unwrap() == saved, "{scene}");
-        std::fs::remove_dir_all(home.path("elsewhere")).unwrap();
-    }
+    let output = home.explore_in("builtin:house?seed=2", "elsewhere", "300", &["--map", &map]);
+    let said = text(&output.stderr);
+    assert!(output.status.success() && said.contains("home.map stays as it was"), "{said}");
+    assert!(said.contains("the robot was started in a saved map"), "{said}");
+    let ticks = ticks(&home.path("elsewhere"));
+    let is_lost = |tick: &RecordedTick| tick.decision.as_ref().unwrap().lost.is_some();
+    assert!(ticks.len() == 300 && ticks.iter().all(is_lost));
+    assert!(std::fs::read(&map).unwrap() == saved);
+}
+
+#[test]
+fn in_the_map_of_another_home_the_robot_makes_one_of_its_own_and_saves_both_beside_the_file() {
+    let home = Home::new();
+    let map = home.text("home.map");
+    home.explored("run", "120", &["--map", &map]);
+    let saved = std::fs::read(&map).unwrap();
+    let scene = "builtin:office?seed=1";
+    let output = home.explore_in(scene, "elsewhere", "550", &["--map", &map]);
+    let said = text(&output.stderr);
+    assert!(output.status.success() && said.contains("home.map stays as it was"), "{said}");
+    assert!(said.contains("home.separate.map"), "{said}");
+    assert!(std::fs::read(&map).unwrap() == saved);
+    let summary: serde_json::Value =
+        serde_json::from_slice(&home.read("elsewhere", "summary.json")).unwrap();
+    assert_eq!(summary["maps_begun"], 1);
+    assert!(summary.get("maps_joined").is_none());
+    // The recording replays, and a later run goes on with both maps.
+    assert!(replayed(&home.text("elsewhere")).ends_with("mismatches=0\n"));
+    let both = home.text("home.separate.map");
+    let shown = text(&firmware_host(&["map", "show", &both]).stdout);
+    assert!(shown.contains("maps        2, which have not met"), "{shown}");
+    let output = home.explore_in(scene, "again", "60", &["--map", &both]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let last = ticks(&home.path("again")).pop().unwrap();
+    assert_eq!(last.decision.unwrap().lost, None, "it has found itself in the newer map");
+    let shown = text(&firmware_host(&["map", "show", &both]).stdout);
+    assert!(shown.contains("maps        2"), "{shown}");
 }

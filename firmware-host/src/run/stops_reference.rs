@@ -51,9 +51,11 @@ fn other_stops() -> [OtherStop; 5] {
         },
         OtherStop {
             event: Event::StandsLost,
-            condition: "the robot is lost, and has rotated twice without recognizing the place",
+            condition: "the robot is lost, has rotated twice without recognizing the place, and does not begin another map: it has a task, \
+                        or areas to keep in or out of, or `localization.new_map_when_lost` is off",
             end: "it recognizes the place, also because it was moved",
-            tests: "`lost::a_robot_that_is_lifted_and_put_elsewhere_stops_rotates_finds_itself_and_explores_on`",
+            tests: "`separate_maps_tests::a_robot_that_may_not_begin_another_map_stands`, \
+                    `separate_maps_tests::a_robot_with_a_task_or_with_closed_areas_of_its_map_begins_no_other`",
         },
         OtherStop {
             event: Event::StandsTilted { tilt_deg: 15.0 },

@@ -1,8 +1,8 @@
 //! Where in the whole map a scan was taken, without any idea of the pose.
 //!
 //! The map is divided into squares that the search grid covers. In each, branch and bound finds the poses where the scan fits
-//! best; each is then refined against the surfaces and examined for surfaces that the scan has seen through. The work is divided
-//! into small steps.
+//! best; each is then refined against the surfaces and examined for contradictions: surfaces that the scan has seen through, and
+//! parts of the scan where the map was seen through. The work is divided into small steps.
 
 use hal::{Pose2, wrap_angle};
 use serde::{Deserialize, Serialize};
@@ -25,12 +25,10 @@ const SUBMAPS_PER_STEP: usize = 50;
 /// Operations of entering a submap, and of refining a place, about.
 const SUBMAP_OPERATIONS: u64 = 20_000;
 const REFINE_OPERATIONS: u64 = 300_000;
-/// A place is the right one only if the scan fits like this: share of the scan near known surfaces, share of those on them, how
-/// exactly, and share of the surfaces in sight that were seen through. Moved furniture and people cost some of each.
-const MIN_OVERLAP: f32 = 0.6;
-const MIN_INLIERS: f32 = 0.8;
+/// The surfaces that the scan lies on are off by this much at most, root mean square.
 const MAX_RMS_M: f32 = 0.04;
-const MAX_CONTRADICTED: f32 = 0.2;
+/// Submaps further from the pose than this did not see much of what the scan shows, metres.
+const SIGHT_M: f64 = 6.0;
 /// A pose whose position along some direction is less certain than this is one of many, metres: a corridor.
 const MAX_DEVIATION_M: f64 = 0.08;
 /// A rival with this share of the best one's score makes both doubtful. It is another pose if it is further away than this.
@@ -57,12 +55,23 @@ impl KnownMap<'_> {
     }
 }
 
+/// How well a scan must fit a place. Moved furniture and people cost some of each.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FitLimits {
+    /// Share of the scan near known surfaces.
+    pub overlap: f32,
+    /// Share of these on the surfaces.
+    pub inliers: f32,
+    /// The share of the surfaces in sight that the scan saw through, and the share of the scan where the map was seen through, together.
+    pub contradictions: f32,
+}
+
 /// A pose in `map` where the scan fits.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Candidate {
     pub pose: Pose2,
     is_good: bool,
-    /// Share of the scan on known surfaces, times the share of surfaces in sight that it did not see through.
+    /// Share of the scan on known surfaces, less for contradictions.
     score: f32,
 }
 
@@ -136,6 +145,8 @@ pub(crate) struct MapSearch {
     /// Map and square that grid and surfaces hold, and the number of submaps that were gone through.
     made: Option<(u16, u32, usize)>,
     is_finished: bool,
+    /// What each submap saw from where it began, once it was needed.
+    sights: Vec<Option<Box<Sight>>>,
 }
 
 impl MapSearch {
@@ -146,16 +157,23 @@ impl MapSearch {
             surfaces: Surfaces::new(),
             made: None,
             is_finished: false,
+            sights: Vec::new(),
         }
     }
 
     /// The map has changed, or the query was restored: grid and surfaces are of another one.
     pub(crate) fn forget(&mut self) {
         self.made = None;
+        self.sights.clear();
     }
 
     /// Continues a query. Returns the number of operations that it took.
-    pub(crate) fn step(&mut self, query: &mut MapQuery, map: &KnownMap<'_>) -> u64 {
+    pub(crate) fn step(
+        &mut self,
+        query: &mut MapQuery,
+        map: &KnownMap<'_>,
+        limits: &FitLimits,
+    ) -> u64 {
         let Some(squares) = Squares::of(map) else {
             query.is_done = true;
             return 1;
@@ -174,7 +192,7 @@ impl MapSearch {
         }
         self.enter(query.square, &window.middle, map.submaps.len(), map);
         self.finish();
-        self.search(query, &window)
+        self.search(query, &window, map, limits)
     }
 
     /// Enters submaps into grid and surfaces until they hold the first `until`.
@@ -210,7 +228,13 @@ impl MapSearch {
         }
     }
 
-    fn search(&mut self, query: &mut MapQuery, window: &Window) -> u64 {
+    fn search(
+        &mut self,
+        query: &mut MapQuery,
+        window: &Window,
+        map: &KnownMap<'_>,
+        limits: &FitLimits,
+    ) -> u64 {
         let Pose2 { x_m, y_m, .. } = window.middle;
         let in_grid = Window { middle: Pose2::IDENTITY, ..*window };
         let search = query.search.get_or_insert_with(|| Search::new(in_grid));
@@ -223,8 +247,12 @@ impl MapSearch {
         for place in search.places() {
             let pose = Pose2::new(x_m, y_m, 0.0).compose(&place.pose);
             let refined = align(&self.surfaces, &query.stretches, &found_prior(&pose));
-            let candidate = refined.map(|alignment| self.candidate(&alignment, &sight));
-            query.candidates.extend(candidate);
+            if let Some(alignment) = refined {
+                let seen_through = sight.contradicted(&self.surfaces.fine, &alignment.pose);
+                let intruding = self.intruding(&query.stretches, &alignment.pose, map);
+                let contradictions = seen_through + intruding;
+                query.candidates.push(candidate(&alignment, contradictions, limits));
+            }
             operations += REFINE_OPERATIONS;
         }
         query.search = None;
@@ -233,21 +261,44 @@ impl MapSearch {
         operations
     }
 
-    fn candidate(&self, alignment: &Alignment, sight: &Sight) -> Candidate {
-        let fit = &alignment.fit;
-        let contradicted = sight.contradicted(&self.surfaces.fine, &alignment.pose);
-        let covariance = alignment.information.try_inverse();
-        let is_certain = covariance.is_some_and(|covariance| {
-            let variance = covariance[(0, 0)] + covariance[(1, 1)];
-            (0.0..MAX_DEVIATION_M * MAX_DEVIATION_M).contains(&variance)
+    /// Share of a scan's stretches that lie where the map's submaps saw through, if the scan was taken at `pose`.
+    fn intruding(&mut self, scan: &[Stretch], pose: &Pose2, map: &KnownMap<'_>) -> f32 {
+        self.sights.resize_with(map.submaps.len(), || None);
+        let near = map.poses.iter().enumerate().filter(|(index, submap)| {
+            map.map_of[*index] == map.map && submap.distance_m(pose) < SIGHT_M
         });
-        let is_good = is_certain
-            && fit.overlap >= MIN_OVERLAP
-            && fit.inliers >= MIN_INLIERS
-            && fit.rms_m <= MAX_RMS_M
-            && contradicted <= MAX_CONTRADICTED;
-        Candidate { pose: alignment.pose, is_good, score: fit.share() * (1.0 - contradicted) }
+        let mut is_through = vec![false; scan.len()];
+        for (index, submap) in near {
+            let stretches = &map.submaps[index].stretches;
+            let sight = self.sights[index]
+                .get_or_insert_with(|| Box::new(Sight::new(stretches, &self.t_base_laser)));
+            let Pose2 { x_m, y_m, yaw_rad } = submap.inverse().compose(pose);
+            let (sin, cos) = yaw_rad.sin_cos();
+            let [x, y, sin, cos] = [x_m, y_m, sin, cos].map(|value| value as f32);
+            for (is_through, stretch) in is_through.iter_mut().zip(scan) {
+                let moved = stretch.moved(x, y, sin, cos);
+                *is_through |= sight.is_through(moved.x, moved.y);
+            }
+        }
+        let through = is_through.iter().filter(|is_through| **is_through).count();
+        through as f32 / scan.len().max(1) as f32
     }
+}
+
+fn candidate(alignment: &Alignment, contradictions: f32, limits: &FitLimits) -> Candidate {
+    let fit = &alignment.fit;
+    let covariance = alignment.information.try_inverse();
+    let is_certain = covariance.is_some_and(|covariance| {
+        let variance = covariance[(0, 0)] + covariance[(1, 1)];
+        (0.0..MAX_DEVIATION_M * MAX_DEVIATION_M).contains(&variance)
+    });
+    let is_good = is_certain
+        && fit.overlap >= limits.overlap
+        && fit.inliers >= limits.inliers
+        && fit.rms_m <= MAX_RMS_M
+        && contradictions <= limits.contradictions;
+    let score = fit.share() * (1.0 - contradictions).max(0.0);
+    Candidate { pose: alignment.pose, is_good, score }
 }
 
 fn is_same_pose(a: &Pose2, b: &Pose2) -> bool {

@@ -1,7 +1,7 @@
-//! Known surfaces that a scan has seen through: evidence that the scan was not taken there.
+//! Where one of a scan and a map has seen through what the other shows: evidence that the scan was not taken there.
 //!
 //! A scan lies on the walls of many rooms of a similar size. A wall that stands in the map between the scanner and what it has
-//! hit distinguishes them.
+//! hit distinguishes them, and so does a thing that the scan shows where the map was seen through.
 
 use hal::Pose2;
 
@@ -46,6 +46,14 @@ impl Sight {
             }
         }
         Self { t_base_laser: *t_base_laser, ranges }
+    }
+
+    /// Whether a point in the robot's frame lies well in front of what was hit in its direction.
+    pub(crate) fn is_through(&self, x: f32, y: f32) -> bool {
+        let dx = x - self.t_base_laser.x_m as f32;
+        let dy = y - self.t_base_laser.y_m as f32;
+        let hit_m = self.ranges[sector(dy.atan2(dx)).rem_euclid(SECTORS as i32) as usize];
+        hit_m.is_finite() && dx.hypot(dy) < hit_m - DEPTH_M
     }
 
     /// Of the known surfaces that the scanner would see from `pose`, the share that the scan has seen through, 0 to 1.
@@ -103,6 +111,16 @@ mod tests {
         assert!(contradicted(&seen, &wall(1.0), &Pose2::IDENTITY) > 0.9);
         assert!(contradicted(&seen, &wall(4.0), &Pose2::IDENTITY) < 0.01);
         assert!(contradicted(&seen, &wall(2.0), &Pose2::new(-2.0, 0.0, 0.0)) < 0.01);
+    }
+
+    #[test]
+    fn a_point_well_before_what_was_hit_is_through_and_one_on_it_or_behind_it_or_elsewhere_is_not()
+    {
+        let sight = Sight::new(&wall(2.0), &Pose2::new(0.1, 0.0, 0.0));
+        assert!(sight.is_through(1.0, 0.0) && sight.is_through(1.6, 0.5));
+        for [x, y] in [[1.8, 0.0], [2.0, 1.0], [3.0, 0.0], [-1.0, 0.0]] {
+            assert!(!sight.is_through(x, y), "{x} {y}");
+        }
     }
 
     #[test]

@@ -15,6 +15,8 @@ mod saved_map;
 mod saved_map_tests;
 mod separate_maps;
 #[cfg(test)]
+mod separate_maps_tests;
+#[cfg(test)]
 mod sweep_tests;
 #[cfg(test)]
 mod test_robot;

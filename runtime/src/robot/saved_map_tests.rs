@@ -55,6 +55,31 @@ fn a_map_that_is_cut_anywhere_or_too_long_is_refused_and_leaves_the_robot_as_it_
     assert!(second.snapshot() == before);
 }
 
+/// The layout of maps before robots had several.
+#[test]
+fn a_map_of_the_layout_before_is_read() {
+    let mut first = robot();
+    drive(&mut first);
+    let mut added = Vec::new();
+    first.separate_maps.write(&mut added);
+    let state = first.map_state();
+    let mut older = Vec::new();
+    // The other maps stand before localization, and what localization knows of them at the end.
+    let mut location = Vec::new();
+    State::write(&first.location, &mut location);
+    let mut at_end = Vec::new();
+    first.location.write_layout_14(&mut at_end);
+    let until = state.len() - at_end.len() - location.len() - added.len();
+    older.extend_from_slice(&2_u32.to_le_bytes());
+    older.extend_from_slice(&state[4..until]);
+    older.extend_from_slice(&location);
+    let mut second = robot();
+    second.load_map_state(&older).unwrap();
+    assert_eq!(cells(second.map()), cells(first.map()));
+    assert_eq!((second.maps(), SavedMap::read(&older).unwrap().maps), (1, 1));
+    assert_eq!(second.poses(), first.poses());
+}
+
 #[test]
 fn a_map_of_another_configuration_is_refused_by_its_key() {
     let mut first = robot();

@@ -43,7 +43,7 @@ impl SeparateMaps {
         self.is_other.get(section).copied().unwrap_or(false)
     }
 
-    fn take(&mut self, number: u16) -> Option<OccupancyGrid> {
+    pub(super) fn take(&mut self, number: u16) -> Option<OccupancyGrid> {
         let at = self.others.iter().position(|map| map.number == number)?;
         Some(self.others.remove(at).grid)
     }

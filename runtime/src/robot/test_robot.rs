@@ -30,17 +30,21 @@ pub(super) fn robot() -> Robot {
     Robot::new(config(), None).unwrap()
 }
 
-/// What the scanner measures at a true pose in the room.
-fn scan(truth: &Pose2, time_ns: u64) -> LaserScan {
-    let ranges =
-        (0..GEOMETRY.beams).map(|beam| Range::Hit(range_m(truth, GEOMETRY.angle_rad(beam)) as f32));
+/// What the scanner measures at a true pose in a room around the origin with these half sides.
+fn scan(truth: &Pose2, room_m: [f64; 2], time_ns: u64) -> LaserScan {
+    let ranges = (0..GEOMETRY.beams)
+        .map(|beam| Range::Hit(range_in(room_m, truth, GEOMETRY.angle_rad(beam)) as f32));
     LaserScan { time_ns, geometry: GEOMETRY, ranges: ranges.collect() }
 }
 
 /// Distance of the wall in a direction from a pose in the room.
 pub(super) fn range_m(from: &Pose2, angle_rad: f64) -> f64 {
+    range_in(ROOM_M, from, angle_rad)
+}
+
+fn range_in(room_m: [f64; 2], from: &Pose2, angle_rad: f64) -> f64 {
     let (sin, cos) = (from.yaw_rad + angle_rad).sin_cos();
-    to_wall_m(from.x_m, cos, ROOM_M[0]).min(to_wall_m(from.y_m, sin, ROOM_M[1]))
+    to_wall_m(from.x_m, cos, room_m[0]).min(to_wall_m(from.y_m, sin, room_m[1]))
 }
 
 /// Length of a ray from `at_m` to the wall that it meets on one axis.
@@ -62,8 +66,19 @@ pub(super) fn standing(tick: u64, truth: &Pose2, wheel: Pose2) -> RecordedTick {
     let mut input = RecordedTick::new(tick, time_ns);
     input.wheel.odom = wheel;
     input.scan_odom = wheel;
-    input.scan = Some(scan(truth, time_ns));
+    input.scan = Some(scan(truth, ROOM_M, time_ns));
     input
+}
+
+/// As [`standing`], in another room.
+pub(super) fn standing_in(
+    room_m: [f64; 2],
+    tick: u64,
+    truth: &Pose2,
+    wheel: Pose2,
+) -> RecordedTick {
+    let input = standing(tick, truth, wheel);
+    RecordedTick { scan: Some(scan(truth, room_m, input.time_ns)), ..input }
 }
 
 /// Drives 0.9 m ahead through the room.

@@ -9,6 +9,7 @@ mod kiss_icp;
 mod relations;
 mod relocalize;
 mod rover;
+mod separate;
 mod tour;
 mod trajectory;
 
@@ -35,8 +36,11 @@ struct Arguments {
     /// Instead of the logs: trials of finding a lost robot, this many in each simulated home.
     #[arg(long, value_name = "TRIALS")]
     relocalize: Option<usize>,
+    /// Instead of the logs: trials of robots that are put where their map does not say what they see, this many in each simulated home.
+    #[arg(long, value_name = "TRIALS", conflicts_with = "relocalize")]
+    separate: Option<usize>,
     /// Instead of the logs: errors and costs of drives with 1,081 beams in simulated homes, the last of them for an hour.
-    #[arg(long, conflicts_with = "relocalize")]
+    #[arg(long, conflicts_with_all = ["relocalize", "separate"])]
     drives: bool,
 }
 
@@ -79,9 +83,12 @@ const COLUMNS: [&str; 9] = [
 ];
 
 fn main() -> Result<()> {
-    let Arguments { logs, out, relocalize, drives } = Arguments::parse();
+    let Arguments { logs, out, relocalize, separate, drives } = Arguments::parse();
     if let Some(trials) = relocalize {
         return find_lost_robots(trials);
+    }
+    if let Some(trials) = separate {
+        return join_maps(trials);
     }
     if drives {
         return drive_through_homes();
@@ -154,6 +161,33 @@ fn find_lost_robots(trials: usize) -> Result<()> {
     rows.push(all.row("all"));
     rows.push(others.row("in the map of another home"));
     print_table(&TRIAL_COLUMNS, &rows);
+    Ok(())
+}
+
+/// Puts robots where half of a home was never mapped, where all furniture was moved, and into another home than the map's.
+fn join_maps(trials: usize) -> Result<()> {
+    let homes = relocalize::HOMES;
+    let mut rows = Vec::new();
+    for words in ["half of it mapped", "furniture moved", "map of another home"] {
+        let mut all = separate::Results::default();
+        for (index, home) in homes.iter().enumerate() {
+            let differs = match words {
+                "half of it mapped" => separate::Differs::HalfMapped,
+                "furniture moved" => separate::Differs::Moved,
+                _ => separate::Differs::OtherHome(homes[(index + 1) % homes.len()]),
+            };
+            // Each drive through another home takes the whole five minutes.
+            let is_other = matches!(differs, separate::Differs::OtherHome(_));
+            let count = if is_other { trials.div_ceil(5) } else { trials };
+            let results = separate::trials(home, differs, count)?;
+            let row = results.row(&format!("{home}, {words}"));
+            eprintln!("{}", row.join("  "));
+            rows.push(row);
+            all.add(&results);
+        }
+        rows.push(all.row(&format!("all, {words}")));
+    }
+    print_table(&separate::COLUMNS, &rows);
     Ok(())
 }
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use hal::{Pose2, wrap_angle};
-use runtime::localization::LostReason;
+use runtime::localization::{Estimate, LostReason};
 use simulator::{OpenOptions, World};
 
 use crate::rover::{Rover, STEP_NS};
@@ -30,11 +30,11 @@ pub const HOMES: [&str; 10] = [
 const WRONG_M: f64 = 0.25;
 const WRONG_RAD: f64 = 0.0873;
 /// Rotation between scans: a robot that rotates at 20 degrees per second.
-const STEP_RAD: f64 = 0.035;
+pub const STEP_RAD: f64 = 0.035;
 /// Steps of a trial: two rotations.
-const STEPS: usize = 360;
+pub const STEPS: usize = 360;
 /// A trial's start keeps this distance from furniture, metres.
-const CLEARANCE_M: f64 = 0.25;
+pub const CLEARANCE_M: f64 = 0.25;
 
 /// Results of the trials in one home.
 #[derive(Debug, Default)]
@@ -88,6 +88,12 @@ impl Results {
         self.errors_m.extend(&other.errors_m);
         self.seconds.extend(&other.seconds);
     }
+}
+
+/// Whether a place that was accepted is another one than the truth, in `map`.
+pub fn is_wrong(truth: &Pose2, estimate: &Estimate) -> bool {
+    let error = truth.inverse().compose(&estimate.t_map_base());
+    error.x_m.hypot(error.y_m) > WRONG_M || wrap_angle(error.yaw_rad).abs() > WRONG_RAD
 }
 
 pub fn quantile(values: &[f64], share: f64) -> f64 {
@@ -159,9 +165,8 @@ pub fn trials(home: &MappedHome, mapped: &MappedHome, count: usize) -> Result<Re
             let estimate = rover.update(&mut localizer);
             if estimate.whereabouts.lost().is_none() {
                 let truth = home.t_map_world.compose(&rover.truth());
-                let error = truth.inverse().compose(&estimate.t_map_base());
-                let error_m = error.x_m.hypot(error.y_m);
-                let is_off = error_m > WRONG_M || wrap_angle(error.yaw_rad).abs() > WRONG_RAD;
+                let error_m = truth.distance_m(&estimate.t_map_base());
+                let is_off = is_wrong(&truth, &estimate);
                 results.found += 1;
                 results.within_3_scans += usize::from(localizer.scans_searched() <= 3);
                 results.wrong += usize::from(is_off || is_other);
