@@ -1,5 +1,7 @@
 //! What a simulated run is judged by. Ground truth comes in here and goes nowhere else.
 
+use std::collections::BTreeMap;
+
 use hal::{DepthMap, Pose2};
 use runtime::accuracy::{Accuracy, ConstantBaseline, SizeMismatch};
 use runtime::event::{Event, SafetyEvent};
@@ -42,7 +44,10 @@ pub struct Evaluation {
     path_m: f64,
     /// True pose at the last frame.
     last_truth: Option<Pose2>,
-    poses: Vec<PosePair>,
+    /// Poses in each of the robot's maps. Those in a map that has become a part of another are not kept: its frame is no more.
+    poses: BTreeMap<u16, Vec<PosePair>>,
+    /// The map in which the robot is.
+    map: u16,
     goals: GoalLog,
     trips_m: Vec<[f64; 2]>,
 }
@@ -83,7 +88,8 @@ impl Evaluation {
             fell: false,
             path_m: 0.0,
             last_truth: None,
-            poses: Vec::new(),
+            poses: BTreeMap::new(),
+            map: 0,
             goals: GoalLog::default(),
             trips_m: Vec::new(),
         }
@@ -114,12 +120,14 @@ impl Evaluation {
         self.near_edge = truth.near_edge;
         self.fell |= truth.fell;
         self.count_events(decision, believed);
+        self.map = robot.map_number();
         if robot.whereabouts().lost().is_some() {
             // A lost robot claims no pose in its map, and maps nothing.
             return Ok(());
         }
-        let is_first = self.poses.is_empty();
-        self.poses.push(PosePair {
+        let poses = self.poses.entry(self.map).or_default();
+        let is_first = poses.is_empty();
+        poses.push(PosePair {
             truth: truth.pose,
             t_odom_base: believed.t_odom_base,
             t_map_base: believed.t_map_base(),
@@ -154,6 +162,12 @@ impl Evaluation {
             if let Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } = event {
                 self.trips_m.push(believed.t_map_base().transform(*x_m, *y_m).into());
             }
+            if matches!(event, Event::MapBegun | Event::MapsJoined { .. }) {
+                self.trips_m.clear();
+            }
+            if matches!(event, Event::MapsJoined { .. }) {
+                self.poses.remove(&self.map);
+            }
         }
     }
 
@@ -179,10 +193,10 @@ impl Evaluation {
         self.coverage.as_ref()
     }
 
-    /// True and believed pose at every frame.
+    /// True and believed pose at every frame in the map of the end.
     #[must_use]
     pub fn poses(&self) -> &[PosePair] {
-        &self.poses
+        self.poses.get(&self.map).map_or(&[], Vec::as_slice)
     }
 
     /// Goals and what became of them, in the map, metres.
@@ -191,7 +205,7 @@ impl Evaluation {
         self.goals.goals()
     }
 
-    /// What the safety plane stopped for, in the map, metres.
+    /// What the safety plane stopped for in the map of the end, metres.
     #[must_use]
     pub fn trips_m(&self) -> &[[f64; 2]] {
         &self.trips_m
@@ -201,7 +215,7 @@ impl Evaluation {
     /// then lies on the true home.
     #[must_use]
     pub fn t_world_map(&self) -> Pose2 {
-        self.poses
+        self.poses()
             .first()
             .map_or(Pose2::IDENTITY, |first| first.truth.compose(&first.t_map_base.inverse()))
     }
@@ -210,7 +224,7 @@ impl Evaluation {
     #[must_use]
     pub fn believed_path(&self) -> Vec<Pose2> {
         let t_world_map = self.t_world_map();
-        self.poses.iter().map(|pair| t_world_map.compose(&pair.t_map_base)).collect()
+        self.poses().iter().map(|pair| t_world_map.compose(&pair.t_map_base)).collect()
     }
 
     /// Fills in what this knows.
@@ -221,7 +235,7 @@ impl Evaluation {
         summary.path_m = Some(self.path_m);
         summary.coverage = self.coverage.as_ref().map(Coverage::share);
         summary.reachable_m2 = self.coverage.as_ref().map(Coverage::reachable_m2);
-        summary.pose_error = PoseError::of(&self.poses);
+        summary.pose_error = PoseError::of(self.poses());
         summary.collisions = Some(self.collisions);
         summary.edge_approaches = (self.edge_approaches > 0).then_some(self.edge_approaches);
         summary.fell = self.fell.then_some(true);

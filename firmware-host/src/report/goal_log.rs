@@ -23,6 +23,8 @@ impl GoalLog {
             Event::GoalReached => self.end(GoalFate::Reached),
             Event::GoalDropped { why: DropReason::Resolved } => self.end(GoalFate::Seen),
             Event::GoalDropped { .. } => self.end(GoalFate::Dropped),
+            // Their places are in the frame of another map.
+            Event::MapBegun | Event::MapsJoined { .. } => self.goals.clear(),
             _ => {}
         }
     }
@@ -48,6 +50,18 @@ mod tests {
 
     fn chosen(x_m: f64) -> Event {
         Event::GoalChosen { x_m, y_m: 0.0, why: GoalReason::Frontier }
+    }
+
+    #[test]
+    fn the_goals_of_another_map_are_left_out() {
+        let mut log = GoalLog::default();
+        for event in [chosen(1.0), Event::MapBegun, chosen(2.0), chosen(3.0)] {
+            log.note(&event);
+        }
+        assert_eq!(log.goals().len(), 2);
+        log.note(&Event::MapsJoined { shift_m: 1.0 });
+        log.note(&Event::GoalReached);
+        assert!(log.goals().is_empty());
     }
 
     #[test]

@@ -206,6 +206,9 @@ impl RunLog {
             if let Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } = event {
                 self.trips_m.push(decision.t_map_base().transform(*x_m, *y_m).into());
             }
+            if matches!(event, Event::MapBegun | Event::MapsJoined { .. }) {
+                self.trips_m.clear();
+            }
             if matches!(
                 event,
                 Event::Lost { .. }
