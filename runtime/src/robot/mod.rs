@@ -530,12 +530,19 @@ impl Robot {
                 self.watch.see_camera(&mount);
             }
             let yaw_error = self.coarse.take_yaw_error(&up);
-            let said = self.camera_time.observe(input.wheel.time_ns, &input.wheel.twist, yaw_error);
+            let motion = self.motion_now(input);
+            let said = self.camera_time.observe(input.wheel.time_ns, &motion, yaw_error);
             // Without the correction of frames, image motion shows another error than is assumed.
             if let Some(said) = said.filter(|_| self.config.localization.estimate_camera_latency) {
                 self.watch.see_latency(&said);
             }
         }
+    }
+
+    /// The motion at the time of the wheel feedback, by the gyroscope as long as it does not contradict the scans.
+    fn motion_now(&self, input: &TickInput<'_>) -> Twist2 {
+        let is_refused = self.gyroscope().is_some_and(|gyroscope| gyroscope.is_refused);
+        if is_refused { input.wheel.twist } else { camera_time::motion_now(input) }
     }
 
     fn watch_calibration(&mut self, input: &TickInput<'_>, events: &mut Vec<Event>) {
@@ -767,7 +774,7 @@ impl Robot {
         }
         if self.config.localization.estimate_camera_latency {
             self.poses.t_odom_base_at_frame =
-                self.camera_time.at_exposure(&self.poses.t_odom_base, &input.wheel.twist);
+                self.camera_time.at_exposure(&self.poses.t_odom_base, &self.motion_now(input));
         }
         events.extend(located.wheel_error.map(|how| Event::WheelsContradicted { how }));
         events.extend(located.gyro_refused.then_some(Event::GyroscopeRefused));
