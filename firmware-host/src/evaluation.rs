@@ -162,10 +162,10 @@ impl Evaluation {
             if let Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } = event {
                 self.trips_m.push(believed.t_map_base().transform(*x_m, *y_m).into());
             }
-            if matches!(event, Event::MapBegun | Event::MapsJoined { .. }) {
+            if matches!(event, Event::MapBegun | Event::MapChanged | Event::MapsJoined) {
                 self.trips_m.clear();
             }
-            if matches!(event, Event::MapsJoined { .. }) {
+            if matches!(event, Event::MapsJoined) {
                 self.poses.remove(&self.map);
             }
         }

@@ -286,11 +286,19 @@ fn in_the_map_of_another_home_the_robot_makes_one_of_its_own_and_saves_both_besi
     assert!(replayed(&home.text("elsewhere")).ends_with("mismatches=0\n"));
     let both = home.text("home.separate.map");
     let shown = text(&firmware_host(&["map", "show", &both]).stdout);
-    assert!(shown.contains("maps        2, which have not met"), "{shown}");
+    assert!(shown.contains("maps        2, whose places"), "{shown}");
     let output = home.explore_in(scene, "again", "60", &["--map", &both]);
     assert!(output.status.success(), "{}", text(&output.stderr));
     let last = ticks(&home.path("again")).pop().unwrap();
     assert_eq!(last.decision.unwrap().lost, None, "it has found itself in the newer map");
     let shown = text(&firmware_host(&["map", "show", &both]).stdout);
     assert!(shown.contains("maps        2"), "{shown}");
+    // Closed areas would have to belong to one of the two.
+    std::fs::write(home.path("closed.geojson"), CLOSED).unwrap();
+    let closed = home.text("closed.geojson");
+    let refused = home.explore_in(scene, "no", "10", &["--map", &both, "--keep-out", &closed]);
+    let said = text(&refused.stderr);
+    assert!(!refused.status.success() && said.contains("holds 2 maps"), "{said}");
 }
+
+const CLOSED: &str = r#"{"type": "Polygon", "coordinates": [[[5, 5], [6, 5], [6, 6], [5, 5]]]}"#;

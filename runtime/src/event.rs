@@ -58,11 +58,10 @@ pub enum Event {
     StandsLost,
     /// The robot has rotated and did not find itself in the map: it begins another one, and explores on.
     MapBegun,
-    /// The robot has come to a place of an earlier map, and its map is a part of that one now.
-    MapsJoined {
-        /// How far the robot's own place in `map` moved, metres.
-        shift_m: f64,
-    },
+    /// The robot was lost and has found itself in another of its maps: poses in `map` are of that one now.
+    MapChanged,
+    /// The robot has come to a place of another of its maps, and both are one now, in the frame of the older.
+    MapsJoined,
     /// The robot is tilted: it stands and maps nothing until it is level.
     StandsTilted {
         /// Angle between its vertical axis and gravity, degrees.

@@ -131,7 +131,7 @@ fn found_among_moved_furniture(
         assert_eq!(ticks[0].decision.lost, Some(LostReason::Loaded));
         if again.robot().maps() == 1 {
             found.on_the_spot += 1;
-        } else if told(&mut again, 1200, |event| matches!(event, Event::MapsJoined { .. }))
+        } else if map_events(&mut again, 1200, |event| matches!(event, Event::MapsJoined))
             .is_empty()
         {
             found.not += 1;
@@ -154,6 +154,8 @@ fn a_robot_in_the_saved_map_of_a_home_whose_furniture_was_moved_finds_itself_and
     assert_eq!(found, FoundAmong { on_the_spot: 3, joined: 0, not: 0 });
     let found = found_among_moved_furniture("apartment?seed=6", 4, three);
     assert!(found.not == 0 && found.joined > 0, "{found:?}");
+    // In this home too little of most rooms is as it was. Nowhere wrongly, all the same.
+    found_among_moved_furniture("house?seed=1", 4, |free| vec![free[0], elsewhere(free)]);
 }
 
 /// The free place that is furthest from everything that the robot has mapped.
@@ -181,9 +183,9 @@ fn unknown_place(scenario: &Scenario, world: &World, t_map_world: &Pose2) -> Pos
     best.1
 }
 
-/// Everything of interest to these tests that happened in some ticks. A person arms the robot when the safety plane asks for one.
-fn told(scenario: &mut Scenario, ticks: usize, until: fn(&Event) -> bool) -> Vec<Event> {
-    let mut told = Vec::new();
+/// What happened in some ticks to the robot's place and its maps. A person arms the robot when the safety plane asks for one.
+fn map_events(scenario: &mut Scenario, ticks: usize, until: fn(&Event) -> bool) -> Vec<Event> {
+    let mut found = Vec::new();
     for _ in 0..ticks {
         let events = scenario.tick().unwrap().decision.events;
         let is_over = events.iter().any(until);
@@ -198,7 +200,7 @@ fn told(scenario: &mut Scenario, ticks: usize, until: fn(&Event) -> bool) -> Vec
                 | Event::Found { .. }
                 | Event::StandsLost
                 | Event::MapBegun
-                | Event::MapsJoined { .. } => told.push(event),
+                | Event::MapsJoined => found.push(event),
                 _ => {}
             }
         }
@@ -206,7 +208,7 @@ fn told(scenario: &mut Scenario, ticks: usize, until: fn(&Event) -> bool) -> Vec
             break;
         }
     }
-    told
+    found
 }
 
 /// The second robot of a shadowed scenario goes on from snapshots, also while there are two maps and in the tick in which they are joined.
@@ -219,15 +221,15 @@ fn a_robot_that_is_put_into_rooms_it_has_never_seen_begins_another_map_and_joins
     let known = scenario.robot().map().free_m2();
     let world = World::open(&format!("builtin:{home}"), &OpenOptions::default()).unwrap();
     scenario.carry_to(unknown_place(&scenario, &world, &t_map_world));
-    let told_first = told(&mut scenario, 500, |event| *event == Event::MapBegun);
-    assert!(matches!(told_first[..], [Event::Lost { .. }, Event::MapBegun]), "{told_first:?}");
+    let first_events = map_events(&mut scenario, 500, |event| *event == Event::MapBegun);
+    assert!(matches!(first_events[..], [Event::Lost { .. }, Event::MapBegun]), "{first_events:?}");
     assert_eq!((scenario.robot().map_number(), scenario.robot().maps()), (1, 2));
     assert!(scenario.robot().map().free_m2() < 0.5, "the other map is empty");
     let drives = scenario.ticks(100).unwrap();
     assert!(drives.iter().all(|tick| tick.decision.lost.is_none()));
     assert!(drives.iter().any(|tick| tick.decision.desired.linear_mps > 0.0));
-    let told_then = told(&mut scenario, 600, |event| matches!(event, Event::MapsJoined { .. }));
-    assert!(matches!(told_then[..], [Event::MapsJoined { .. }]), "{told_then:?}");
+    let later_events = map_events(&mut scenario, 600, |event| matches!(event, Event::MapsJoined));
+    assert!(matches!(later_events[..], [Event::MapsJoined]), "{later_events:?}");
     assert_eq!((scenario.robot().map_number(), scenario.robot().maps()), (0, 1));
     assert_right(&scenario.tick().unwrap(), &t_map_world);
     assert!(scenario.robot().map().free_m2() > known + 3.0, "the floor of both is in it");

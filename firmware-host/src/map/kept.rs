@@ -20,11 +20,13 @@ pub struct KeptMap {
     scanner_height_m: f64,
     /// BLAKE3 digest of the state that the run began with; `None` for a new map.
     loaded: Option<String>,
-    /// The highest number of a map in the file. The robot may begin further ones.
-    newest_loaded: u16,
+    /// Number of submaps in the file. The robot may begin further maps.
+    loaded_submaps: usize,
     /// The scanner that the loaded map was made with.
     scanner: Option<ScanGeometry>,
     areas: DrawnAreas,
+    /// Where maps that have not met the loaded one are written in this run.
+    separate: Option<PathBuf>,
     /// Writes the map during the run.
     writing: Option<JoinHandle<()>>,
 }
@@ -40,9 +42,10 @@ impl KeptMap {
             path: path.to_owned(),
             scanner_height_m,
             loaded: None,
-            newest_loaded: 0,
+            loaded_submaps: 0,
             scanner: None,
             areas: DrawnAreas::beside(path)?,
+            separate: None,
             writing: None,
         };
         if !path.exists() {
@@ -65,8 +68,17 @@ impl KeptMap {
             .load_map_state(&file.state)
             .with_context(|| format!("cannot use the map {}", path.display()))?;
         let loaded = Some(blake3::hash(&file.state).to_hex().to_string());
-        let newest_loaded = robot.newest_map();
-        Ok(Self { loaded, newest_loaded, scanner: robot.scanner(), ..kept })
+        let has_areas = kept.areas.changes().next().is_some();
+        if robot.maps() > 1 && (has_areas || !robot.explorer().keep_out().is_empty()) {
+            bail!(
+                "the map {} holds {} maps whose places in each other are not known, and it is not known to which of them the closed areas \
+                 belong; drive without areas until both are one",
+                path.display(),
+                robot.maps(),
+            );
+        }
+        let loaded_submaps = robot.submaps();
+        Ok(Self { loaded, loaded_submaps, scanner: robot.scanner(), ..kept })
     }
 
     /// BLAKE3 digest of the map state that the run began with, in hex; `None` for a new map.
@@ -83,40 +95,36 @@ impl KeptMap {
     /// Keeps a change of the areas for the next runs.
     ///
     /// # Errors
-    /// When it cannot be written, and when the robot is in a map that the file does not hold: the area's place in that of the file is not
-    /// known.
+    /// When it cannot be written, and when the robot has several maps: which of them the next run begins in is not known.
     pub fn change_areas(&mut self, change: AreaChange, robot: &Robot) -> Result<()> {
-        if self.is_apart(robot) {
-            bail!(
-                "the robot has begun another map than that of {}; draw the area again when both have met",
-                self.path.display()
-            );
+        if robot.maps() > 1 {
+            bail!("the robot has begun another map; draw the area again when both are one");
         }
         self.areas.change(change)
     }
 
     /// Whether the robot was given a map and is in another one, which it has begun and which has not met it.
     fn is_apart(&self, robot: &Robot) -> bool {
-        self.loaded.is_some() && robot.map_number() > self.newest_loaded
+        self.loaded.is_some() && !robot.is_in_map_of_first(self.loaded_submaps)
     }
 
     /// The file that the robot's maps are written to, or why they are not written. A robot that is lost leaves the file as it was, and so
     /// does one in another map: a person decides whether the maps belong together.
-    fn target(&self, robot: &Robot) -> Result<PathBuf> {
+    fn target(&mut self, robot: &Robot) -> Result<PathBuf> {
         if let Some(why) = robot.whereabouts().lost() {
             bail!("{} stays as it was: {}", self.path.display(), lost_reason(why));
         }
         if !self.is_apart(robot) {
             return Ok(self.path.clone());
         }
-        let beside = beside(&self.path);
+        let separate = self.separate.get_or_insert_with(|| free_name_beside(&self.path)).clone();
         tracing::warn!(
-            "{} stays as it was: the robot has begun another map and did not come to a known place of it. Both are in {}, which a later \
-             run can go on with",
+            "{} stays as it was: the robot has begun another map and did not come to a place that this one shows. Both are in {}, which a \
+             later run can go on with",
             self.path.display(),
-            beside.display()
+            separate.display()
         );
-        Ok(beside)
+        Ok(separate)
     }
 
     /// Compares the scanner with that of the loaded map, before the robot gets the scan.
@@ -139,7 +147,7 @@ impl KeptMap {
     }
 
     /// Replaces the file with the robot's map. A robot that never found itself in the loaded map, or that is lost at the end, leaves
-    /// the file as it is; a map that it has begun meanwhile is written beside it.
+    /// the file as it is; if it is in a map that it has begun meanwhile, both are written beside the file.
     ///
     /// # Errors
     /// When it cannot be written. The old file then stays.
@@ -183,10 +191,18 @@ impl KeptMap {
     }
 }
 
-/// Where maps that have not met that of `path` are written: `home.separate.map` for `home.map`.
-fn beside(path: &Path) -> PathBuf {
+/// Where maps that have not met that of `path` are written: the first of `home.separate.map`, `home.separate-2.map` and so on that does not
+/// exist.
+fn free_name_beside(path: &Path) -> PathBuf {
+    let first = beside(path, ".separate");
+    let others = (2..).map(|number| beside(path, &format!(".separate-{number}")));
+    let mut names = std::iter::once(first).chain(others);
+    names.find(|name| !name.exists()).unwrap_or_else(|| path.to_owned())
+}
+
+fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.file_stem().unwrap_or_default().to_owned();
-    name.push(".separate");
+    name.push(suffix);
     if let Some(extension) = path.extension() {
         name.push(".");
         name.push(extension);
@@ -199,8 +215,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_file_of_separate_maps_lies_beside_that_of_the_map_and_keeps_its_extension() {
-        assert_eq!(beside(Path::new("/maps/home.map")), Path::new("/maps/home.separate.map"));
-        assert_eq!(beside(Path::new("home")), Path::new("home.separate"));
+    fn separate_maps_are_written_beside_the_file_under_the_first_name_that_is_free() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("home.map");
+        let first = folder.path().join("home.separate.map");
+        assert_eq!(free_name_beside(&path), first);
+        std::fs::write(&first, "").unwrap();
+        assert_eq!(free_name_beside(&path), folder.path().join("home.separate-2.map"));
+        assert_eq!(beside(Path::new("home"), ".separate"), Path::new("home.separate"));
     }
 }

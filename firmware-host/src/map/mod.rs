@@ -91,7 +91,10 @@ fn show(path: &Path) -> Result<()> {
     println!("cells       {} m", map.grid.cell_m());
     println!("submaps     {}", map.submaps);
     if map.maps > 1 {
-        println!("maps        {}, which have not met; the floor is that of the newest", map.maps);
+        println!(
+            "maps        {}, whose places in each other are not known; the floor is that in which the robot was",
+            map.maps
+        );
     }
     match map.scanner {
         Some(scanner) => println!(
@@ -118,7 +121,7 @@ fn caption(file: &MapFile, map: &SavedMap) -> String {
     let saved = saved.strftime("%Y-%m-%d %H:%M UTC");
     let others = match map.maps {
         1 => String::new(),
-        maps => format!(", one of {maps} maps that have not met"),
+        maps => format!(", one of {maps} maps whose places in each other are not known"),
     };
     format!("{free_m2:.1} m2 of free floor, {} submaps, saved {saved}{others}", map.submaps)
 }

@@ -95,7 +95,7 @@ impl EventCounts {
             Event::NoDepth { why } => count(&mut self.no_depth, why),
             Event::Lost { why } => count(&mut self.lost, why),
             Event::MapBegun => *self.maps_begun.get_or_insert(0) += 1,
-            Event::MapsJoined { .. } => *self.maps_joined.get_or_insert(0) += 1,
+            Event::MapsJoined => *self.maps_joined.get_or_insert(0) += 1,
             Event::WheelsContradicted { how } => count(&mut self.wheels_contradicted, how),
             Event::CalibrationChanged { change } => {
                 count(&mut self.calibration_changed, &change.what);

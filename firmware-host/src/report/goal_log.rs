@@ -24,7 +24,7 @@ impl GoalLog {
             Event::GoalDropped { why: DropReason::Resolved } => self.end(GoalFate::Seen),
             Event::GoalDropped { .. } => self.end(GoalFate::Dropped),
             // Their places are in the frame of another map.
-            Event::MapBegun | Event::MapsJoined { .. } => self.goals.clear(),
+            Event::MapBegun | Event::MapChanged | Event::MapsJoined => self.goals.clear(),
             _ => {}
         }
     }
@@ -59,7 +59,7 @@ mod tests {
             log.note(&event);
         }
         assert_eq!(log.goals().len(), 2);
-        log.note(&Event::MapsJoined { shift_m: 1.0 });
+        log.note(&Event::MapsJoined);
         log.note(&Event::GoalReached);
         assert!(log.goals().is_empty());
     }

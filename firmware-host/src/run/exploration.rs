@@ -206,7 +206,7 @@ impl RunLog {
             if let Event::Safety { what: SafetyEvent::Tripped { x_m, y_m, .. } } = event {
                 self.trips_m.push(decision.t_map_base().transform(*x_m, *y_m).into());
             }
-            if matches!(event, Event::MapBegun | Event::MapsJoined { .. }) {
+            if matches!(event, Event::MapBegun | Event::MapChanged | Event::MapsJoined) {
                 self.trips_m.clear();
             }
             if matches!(
@@ -215,7 +215,8 @@ impl RunLog {
                     | Event::Found { .. }
                     | Event::StandsLost
                     | Event::MapBegun
-                    | Event::MapsJoined { .. }
+                    | Event::MapChanged
+                    | Event::MapsJoined
                     | Event::StandsTilted { .. }
                     | Event::LevelAgain
                     | Event::GyroscopeRefused

@@ -212,22 +212,27 @@ impl Explorer {
         self.plan_at = 0;
     }
 
-    /// The robot begins another map, in which places of the one before mean nothing. The run's start is where it is now.
-    pub fn begin_map(&mut self) {
+    /// The robot is in another map from now on, in which places of the one before mean nothing. A drive to such a place ends. Exploration of
+    /// this map began at `start`, or begins where the robot is now. Returns where that of the map before began.
+    pub fn enter_map(&mut self, start: Option<Pose2>, events: &mut Vec<Event>) -> Option<Pose2> {
+        if self.goal().is_some() {
+            events.push(Event::GoalDropped { why: DropReason::Unreachable });
+        }
         self.forget_goal();
+        if self.errand.as_ref().is_some_and(|errand| !errand.is_by_hand()) {
+            self.errand = Some(Errand::HERE);
+        }
         self.blacklist = Blacklist::default();
         self.recent_positions_m.clear();
-        self.start = None;
         self.ending = Ending::default();
         self.plan_at = 0;
         self.choose_at = 0;
+        std::mem::replace(&mut self.start, start)
     }
 
-    /// The map in which the robot is has become a part of another: as [`move_places`](Self::move_places), and with the areas that a person
-    /// has drawn in it.
-    pub fn join_maps(&mut self, moved: impl Fn([f64; 2]) -> [f64; 2]) {
-        self.navigator.move_drawn_areas(&moved);
-        self.move_places(moved);
+    /// The map has become a part of another, where exploration began at `start`, if it is known.
+    pub fn begin_at(&mut self, start: Option<Pose2>) {
+        self.start = start.or(self.start);
     }
 
     /// Whether the policy chooses where the robot goes: no operator has given it another task, and it does not return to its start.

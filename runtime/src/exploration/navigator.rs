@@ -86,11 +86,6 @@ impl Navigator {
         self.costmap.change_areas(change);
     }
 
-    /// See [`KeepOut::move_drawn`].
-    pub(super) fn move_drawn_areas(&mut self, moved: impl Fn([f64; 2]) -> [f64; 2]) {
-        self.costmap.move_drawn_areas(moved);
-    }
-
     /// The areas that a person has closed.
     pub(super) fn keep_out(&self) -> &KeepOut {
         self.costmap.keep_out()

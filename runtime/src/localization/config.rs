@@ -40,8 +40,8 @@ hal::settings! {
         /// Standard deviation of the angle that a gyroscope has measured after one second, beside its bias and scale, which are learnt.
         gyro_noise: f64 = 0.0005, in 0.000001..=0.1, unit "rad", source "four times a BMI160's 0.007 deg/s per root hertz, for vibrations";
         /// A robot that is lost, and has rotated twice without recognizing the place, begins another map and explores on; when it comes to
-        /// a place of the map before, both become one. If not, it stands. It stands as well if a person has sent it to a place, or with
-        /// areas to keep in or out of: these are places of the map before.
+        /// a place of the map before, both become one. If not, it stands. It stands as well if a person has sent it to a place, when it
+        /// returns to its start, and with areas to keep in or out of: these are places of the map before. It has four maps at most.
         new_map_when_lost: bool = true;
         /// A robot whose inertial unit measures a larger tilt stands and maps nothing until it is 3 degrees below it: it is on a ramp or
         /// an obstacle, or was lifted.

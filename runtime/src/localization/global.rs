@@ -48,6 +48,15 @@ struct Solving {
     rounds: u32,
 }
 
+/// Two maps have become one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Joined {
+    /// Number of the map that is a part of the other one now.
+    pub moved: u16,
+    /// How its submaps have moved in `map`: `new = correction * old`.
+    pub correction: Pose2,
+}
+
 /// Submaps in `map`.
 pub(crate) struct GlobalMap {
     submaps: Submaps,
@@ -220,8 +229,8 @@ impl GlobalMap {
         self.graph.close(Edge { from: from as u32, to, t_from_to, information, weight: 1.0 });
     }
 
-    /// Begins another map with a submap at `pose` in `odom`: where that is in the maps before is not known. Its poses go on
-    /// from the last one of the map before, as those of any other frame would do.
+    /// Begins another map with a submap at `pose` in `odom`: where that is in the maps before is not known. Its frame is chosen so
+    /// that the pose in `map` does not jump.
     pub(crate) fn begin_map<'a>(
         &mut self,
         pose: &Pose2,
@@ -236,34 +245,38 @@ impl GlobalMap {
         self.begin_after_gap(pose, in_map, map, keyframes);
     }
 
-    /// The robot's map and another one have met. The robot's map becomes a part of the other, and loops between both are searched for.
-    /// Returns how its submaps have moved: `new = correction * old`.
-    pub(crate) fn join_maps(&mut self, found: &FoundIn) -> Pose2 {
-        let correction = found.t_map_odom.compose(&self.t_map_odom().inverse());
-        let joined = self.map();
+    /// The robot's map and another one, where it was found, have met, and no loop is being closed. That with the higher number becomes a part
+    /// of the other, and loops between both are searched for. `None` if the robot was found in its own map.
+    pub(crate) fn join_maps(&mut self, found: &FoundIn) -> Option<Joined> {
+        let here = self.map();
+        if found.map == here {
+            return None;
+        }
+        let to_other = found.t_map_odom.compose(&self.t_map_odom().inverse());
+        let (stays, moved, correction) = match found.map < here {
+            true => (found.map, here, to_other),
+            false => (here, found.map, to_other.inverse()),
+        };
         let newest = self.current() as u32;
         for index in 0..self.published.len() {
-            if self.map_of[index] == joined {
+            if self.map_of[index] == moved {
                 self.published[index] = correction.compose(&self.published[index]);
-                if (index as u32) < newest && !self.queue.contains(&(index as u32)) {
-                    self.queue.push_back(index as u32);
-                }
+                self.graph.set_pose(index, self.published[index]);
+                self.queue.extend(Some(index as u32).filter(|index| *index != newest));
             }
-            // What has been improved since the last correction begins again.
-            self.graph.set_pose(index, self.published[index]);
         }
         let in_map = self.published[newest as usize];
         self.close_at(found.map, newest, &in_map);
         for map in &mut self.map_of {
-            if *map == joined {
-                *map = found.map;
+            if *map == moved {
+                *map = stays;
             }
         }
-        // A search that has begun knows the poses of before. The submap that it was for is among those of the queue.
-        self.query = None;
+        // What it has made for submaps that are searched for again was without the other map.
+        self.closing.forget();
         self.solving = Some(Solving { steps: 0, rounds: 0 });
         self.revision += 1;
-        correction
+        Some(Joined { moved, correction })
     }
 
     /// A lost robot is where its wheels say, at `pose` in `odom`. Begins a submap there.

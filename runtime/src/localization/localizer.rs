@@ -8,7 +8,7 @@ use crate::imu::ImuInput;
 use crate::snapshot::{SnapshotError, State};
 
 use super::driven_leg::DrivenLeg;
-use super::global::GlobalMap;
+use super::global::{GlobalMap, Joined};
 use super::gyro_model::GyroAngle;
 use super::local::{LocalTracker, Tracked};
 use super::lost::{Doubt, LostReason, Whereabouts};
@@ -44,9 +44,8 @@ pub struct Estimate {
     pub gyro_refused: bool,
     /// The stretch of the drive that this update's scan ended, if it ended one.
     pub leg: Option<DrivenLeg>,
-    /// The map that the robot was in has met another one and is a part of it, since this update: how its submaps have moved in `map`
-    /// (`new = correction * old`).
-    pub joined: Option<Pose2>,
+    /// The map in which the robot is has met another one: both are one since this update.
+    pub joined: Option<Joined>,
 }
 
 impl Estimate {
@@ -89,6 +88,8 @@ pub struct Localizer {
     doubt: Doubt,
     slip: Slip,
     relocalizer: Relocalizer,
+    /// The robot is not searched for in other maps than its own. The caller says so before an update.
+    stays_in_map: bool,
 }
 
 impl Localizer {
@@ -120,6 +121,7 @@ impl Localizer {
             doubt: Doubt::default(),
             slip: Slip::default(),
             relocalizer: Relocalizer::new(t_base_laser),
+            stays_in_map: false,
         })
     }
 
@@ -196,7 +198,9 @@ impl Localizer {
             // It was moved once more: what it has seen since it was lost was seen from another place.
             Whereabouts::Lost(why) if lost.is_some() => self.lose(why),
             Whereabouts::Lost(_) if !self.doubt.is_doubtful() => {
-                self.relocalizer.offer(self.local.stretches(), &pose, self.global.maps());
+                let here = self.global.map();
+                let maps = self.global.maps().filter(|map| *map == here || !self.stays_in_map);
+                self.relocalizer.offer(self.local.stretches(), &pose, maps);
             }
             Whereabouts::Lost(_) => {}
             Whereabouts::Localized | Whereabouts::Doubtful => {
@@ -210,7 +214,8 @@ impl Localizer {
                 if tracked.keyframe {
                     self.global.add(&pose, self.local.stretches(), self.local.covariance());
                 }
-                if self.global.has_other_maps() && tracked.matched && !is_doubtful {
+                let may_meet = self.global.has_other_maps() && !self.stays_in_map;
+                if may_meet && tracked.matched && !is_doubtful {
                     let here = self.global.map();
                     let others = self.global.maps().filter(|map| *map != here);
                     self.relocalizer.offer(self.local.stretches(), &pose, others);
@@ -220,8 +225,8 @@ impl Localizer {
         tracked
     }
 
-    /// The global pose's share of an update. Returns how the robot's map has moved if it has met another one.
-    fn work(&mut self) -> Option<Pose2> {
+    /// The global pose's share of an update.
+    fn work(&mut self) -> Option<Joined> {
         if self.whereabouts.lost().is_none() {
             return self.work_localized();
         }
@@ -238,7 +243,7 @@ impl Localizer {
     }
 
     /// Closes loops; while there are none to close, searches for the robot in the other maps, if there are others.
-    fn work_localized(&mut self) -> Option<Pose2> {
+    fn work_localized(&mut self) -> Option<Joined> {
         let was_busy = self.global.is_busy();
         let revision = self.global.revision();
         self.global.work();
@@ -249,13 +254,24 @@ impl Localizer {
             return None;
         }
         let found = self.relocalizer.work(&self.global.known())?;
-        let correction = self.global.join_maps(&found);
         self.relocalizer.begin(Wanted::Meeting);
-        Some(correction)
+        self.global.join_maps(&found)
+    }
+
+    /// Whether the robot keeps to its map: it is not searched for in others, and its map is not joined to them. This is no part of the
+    /// memory.
+    pub fn stay_in_map(&mut self, stays: bool) {
+        self.stays_in_map = stays;
+    }
+
+    /// Whether a scan did not fit a moment ago.
+    #[must_use]
+    pub fn is_doubtful(&self) -> bool {
+        self.doubt.is_doubtful()
     }
 
     /// A lost robot gives up searching on the spot, and begins another map. While it drives, it is searched for in the maps before;
-    /// when it is found there, its map becomes a part of that one. Without a map before, and when it is not lost, nothing changes.
+    /// when it is found there, both maps become one. Without a map before, and when it is not lost, nothing changes.
     pub fn begin_map(&mut self) {
         if self.whereabouts.lost().is_some() {
             self.global.begin_map(&self.local.pose(), self.local.keyframes());
@@ -282,6 +298,11 @@ impl Localizer {
         self.global.maps().count()
     }
 
+    /// Their numbers, in order.
+    pub(crate) fn map_numbers(&self) -> impl Iterator<Item = u16> {
+        self.global.maps()
+    }
+
     /// The robot does not know where it is: it was started in a saved map, or the caller knows that it was carried. The map stays
     /// as it is, and the robot is searched for in all of it. Without a map there is nothing to search in, and nothing changes.
     pub fn lose(&mut self, why: LostReason) {
@@ -303,6 +324,7 @@ impl Localizer {
     pub fn continue_by_wheels(&mut self) {
         if self.whereabouts.lost().is_some() {
             self.global.continue_at(&self.local.pose(), self.local.keyframes());
+            self.relocalizer.begin(Wanted::Meeting);
             self.whereabouts = Whereabouts::Localized;
         }
     }

@@ -27,12 +27,13 @@ const SUBMAP_OPERATIONS: u64 = 20_000;
 const REFINE_OPERATIONS: u64 = 300_000;
 /// The surfaces that the scan lies on are off by this much at most, root mean square.
 const MAX_RMS_M: f32 = 0.04;
-/// Submaps further from the pose than this did not see much of what the scan shows, metres.
+/// Submaps further from the pose than this did not see much of what the scan shows, metres. Of more than 40, only some are asked.
 const SIGHT_M: f64 = 6.0;
+const MOST_SIGHTS: usize = 40;
 /// A pose whose position along some direction is less certain than this is one of many, metres: a corridor.
 const MAX_DEVIATION_M: f64 = 0.08;
 /// A rival with this share of the best one's score makes both doubtful. It is another pose if it is further away than this.
-const RIVAL_SHARE: f32 = 0.85;
+pub(crate) const RIVAL_SHARE: f32 = 0.85;
 const RIVAL_M: f64 = 0.2;
 const RIVAL_RAD: f64 = 0.08;
 
@@ -78,8 +79,8 @@ pub(crate) struct Candidate {
 /// The result of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Outcome {
-    /// One pose fits, and no other does nearly as well.
-    Here(Pose2),
+    /// One pose fits, with this score, and no other does nearly as well.
+    Here(Pose2, f32),
     /// Several poses fit.
     Several,
     /// No pose fits well enough.
@@ -133,7 +134,7 @@ impl MapQuery {
         let has_rival = self.candidates.iter().any(|other| {
             other.score > RIVAL_SHARE * best.score && !is_same_pose(&other.pose, &best.pose)
         });
-        if has_rival { Outcome::Several } else { Outcome::Here(best.pose) }
+        if has_rival { Outcome::Several } else { Outcome::Here(best.pose, best.score) }
     }
 }
 
@@ -267,8 +268,10 @@ impl MapSearch {
         let near = map.poses.iter().enumerate().filter(|(index, submap)| {
             map.map_of[*index] == map.map && submap.distance_m(pose) < SIGHT_M
         });
+        // Spread over all that are near.
+        let stride = near.clone().count().div_ceil(MOST_SIGHTS).max(1);
         let mut is_through = vec![false; scan.len()];
-        for (index, submap) in near {
+        for (index, submap) in near.step_by(stride) {
             let stretches = &map.submaps[index].stretches;
             let sight = self.sights[index]
                 .get_or_insert_with(|| Box::new(Sight::new(stretches, &self.t_base_laser)));

@@ -45,6 +45,7 @@ mod yaw_errors;
 pub use config::{LocalizationConfig, PoseSource};
 pub use driven_leg::{DrivenLeg, ScanVariances};
 pub use error::LocalizationError;
+pub use global::Joined;
 pub use localizer::{Closure, Estimate, Gyroscope, Localizer};
 pub use lost::{LostReason, Whereabouts};
 pub use matcher::ScanFit;

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::snapshot::{SnapshotError, State, remembers};
 
-use super::map_search::{FitLimits, KnownMap, MapQuery, MapSearch, Outcome};
+use super::map_search::{FitLimits, KnownMap, MapQuery, MapSearch, Outcome, RIVAL_SHARE};
 use super::scan_points::Stretch;
 
 /// Sightings of one place differ by no more than this, metres and radians: two cells of the map.
@@ -43,8 +43,8 @@ impl Wanted {
         }
     }
 
-    /// Scans that must name the same place, and the distance between the two that are furthest apart, metres. From one spot, two
-    /// rooms of the same size look alike; a robot that drives sees more of them.
+    /// Scans that must name the same place, and how far from the newest one of them must be, metres. From one spot, two rooms of the same
+    /// size give the same scan; a robot that drives sees more of them.
     fn evidence(self) -> (usize, f64) {
         match self {
             Self::Robot => (3, 0.0),
@@ -52,9 +52,9 @@ impl Wanted {
         }
     }
 
-    /// Measured by `localization --separate` (docs/localization.md). Of scans from one spot, wrong places contradicted them by 0.16 and
-    /// more, right ones by 0.00 to 0.02 in the median, and by more where furniture was moved. Along a drive, wrong places contradicted
-    /// them by 0.41 and more; right ones by up to 0.5, but others of their scans less.
+    /// Measured by `localization --separate` (docs/localization.md). Of three scans from one spot that named a wrong place, one at least
+    /// contradicted it by 0.16; three that named a right one contradicted it by 0.01 at most in the median, by more where furniture was
+    /// moved. Along a drive, scans that named a wrong place contradicted it by 0.39 and more.
     fn limits(self) -> FitLimits {
         match self {
             Self::Robot => FitLimits { overlap: 0.6, inliers: 0.8, contradictions: 0.1 },
@@ -106,7 +106,6 @@ pub(crate) struct Relocalizer {
     query: Option<MapQuery>,
     /// The pose in `odom` of the scan that is searched for, or that was searched for last.
     view: Option<Pose2>,
-    /// In one map.
     sightings: Vec<Sighting>,
     /// Scans that were searched for since the search began.
     searched: u32,
@@ -115,12 +114,14 @@ pub(crate) struct Relocalizer {
     maps: Vec<u16>,
     /// The scan fits several places of a map that was searched.
     fits_several: bool,
-    /// The map of the sightings.
-    sighted: u16,
+    /// The best place in the maps that were searched, with its map and its score.
+    best: Option<(u16, Pose2, f32)>,
+    /// The map of each sighting.
+    sighted: Vec<u16>,
     search: MapSearch,
 }
 
-// `wanted`, `maps`, `fits_several` and `sighted` are new in layout 14: see `write_layout_14`.
+// `wanted`, `maps`, `fits_several`, `best` and `sighted` are new in layout 14: see `write_layout_14`.
 remembers!(Relocalizer: query, view, sightings, searched);
 
 impl Relocalizer {
@@ -133,14 +134,15 @@ impl Relocalizer {
             wanted: Wanted::Robot,
             maps: Vec::new(),
             fits_several: false,
-            sighted: 0,
+            best: None,
+            sighted: Vec::new(),
             search: MapSearch::new(t_base_laser),
         }
     }
 
     /// Begins from nothing: poses in `odom` from before say nothing about now.
     pub(crate) fn begin(&mut self, wanted: Wanted) {
-        self.sightings.clear();
+        self.forget_sightings();
         self.view = None;
         self.searched = 0;
         self.wanted = wanted;
@@ -180,75 +182,99 @@ impl Relocalizer {
             self.maps.clear();
             self.maps.extend(maps);
             self.fits_several = false;
+            self.best = None;
             self.query = Some(MapQuery::new(stretches));
             self.view = Some(*pose);
         }
     }
 
-    /// Continues the search with the work of one update. Of `known`, the number of the map does not matter.
+    /// Continues the search with the work of one update, in the maps that the scan was offered for.
     pub(crate) fn work(&mut self, known: &KnownMap<'_>) -> Option<FoundIn> {
         let mut operations = 0;
         while operations < self.wanted.operations() {
             let query = self.query.as_mut()?;
             let Some(map) = self.maps.last().copied() else {
-                return self.conclude_nowhere();
+                self.query = None;
+                self.searched += 1;
+                return self.conclude();
             };
             let limits = self.wanted.limits();
             operations += self.search.step(query, &KnownMap { map, ..*known }, &limits);
-            if !query.is_done() {
-                continue;
+            if query.is_done() {
+                let outcome = query.outcome();
+                query.again();
+                self.maps.pop();
+                self.compare(map, outcome);
             }
-            match query.outcome() {
-                Outcome::Here(t_map_base) => return self.conclude(map, t_map_base),
-                Outcome::Several => self.fits_several = true,
-                Outcome::Nowhere => {}
-            }
-            query.again();
-            self.maps.pop();
         }
         None
     }
 
-    /// A scan that fits several places says nothing for or against the place of earlier scans.
-    fn conclude_nowhere(&mut self) -> Option<FoundIn> {
-        self.query = None;
-        self.searched += 1;
-        if self.wanted == Wanted::Robot && !self.fits_several {
-            self.sightings.clear();
+    /// Compares what was found in one map with what was found in those before.
+    fn compare(&mut self, map: u16, outcome: Outcome) {
+        let (pose, score) = match outcome {
+            Outcome::Here(pose, score) => (pose, score),
+            Outcome::Several => {
+                self.fits_several = true;
+                return;
+            }
+            Outcome::Nowhere => return,
+        };
+        let before = self.best.map_or(0.0, |(_, _, score)| score);
+        self.fits_several |= before.min(score) > RIVAL_SHARE * before.max(score);
+        if score > before {
+            self.best = Some((map, pose, score));
         }
-        None
     }
 
-    fn conclude(&mut self, map: u16, t_map_base: Pose2) -> Option<FoundIn> {
-        self.query = None;
-        self.searched += 1;
+    /// The scan was searched for in all maps. One that fits several places says nothing for or against the place of earlier scans.
+    fn conclude(&mut self) -> Option<FoundIn> {
+        if self.fits_several {
+            return None;
+        }
+        let Some((map, t_map_base, _)) = self.best else {
+            if self.wanted == Wanted::Robot {
+                self.forget_sightings();
+            }
+            return None;
+        };
         let newest = Sighting { t_odom_base: self.view?, t_map_base };
-        let contradicts = self.wanted == Wanted::Robot
-            && self.sightings.iter().any(|earlier| !earlier.agrees(&newest));
-        if contradicts || map != self.sighted {
-            self.sightings.clear();
+        let contradicts = self.sightings.iter().any(|earlier| !earlier.agrees(&newest))
+            || self.sighted.iter().any(|sighted| *sighted != map);
+        if contradicts && self.wanted == Wanted::Robot {
+            self.forget_sightings();
         }
-        self.sighted = map;
         if self.sightings.len() >= self.wanted.kept() {
             self.sightings.remove(0);
+            self.sighted.remove(0);
         }
         self.sightings.push(newest);
-        self.is_enough(&newest).then(|| FoundIn { map, t_map_odom: newest.t_map_odom() })
+        self.sighted.push(map);
+        self.is_enough(&newest, map).then(|| FoundIn { map, t_map_odom: newest.t_map_odom() })
     }
 
-    /// Whether enough sightings agree with the newest one.
-    fn is_enough(&self, newest: &Sighting) -> bool {
+    /// Whether enough sightings in the map agree with the newest one.
+    fn is_enough(&self, newest: &Sighting, map: u16) -> bool {
         let (count, apart_m) = self.wanted.evidence();
-        let agreeing = || self.sightings.iter().filter(|earlier| earlier.agrees(newest));
+        let agreeing = || {
+            let all = self.sightings.iter().zip(&self.sighted);
+            all.filter(|(earlier, sighted)| **sighted == map && earlier.agrees(newest))
+        };
         let distances =
-            agreeing().map(|earlier| earlier.t_odom_base.distance_m(&newest.t_odom_base));
+            agreeing().map(|(earlier, _)| earlier.t_odom_base.distance_m(&newest.t_odom_base));
         agreeing().count() >= count && distances.fold(0.0, f64::max) >= apart_m
+    }
+
+    fn forget_sightings(&mut self) {
+        self.sightings.clear();
+        self.sighted.clear();
     }
 
     pub(crate) fn write_layout_14(&self, to: &mut Vec<u8>) {
         self.wanted.write(to);
         self.maps.write(to);
         self.fits_several.write(to);
+        self.best.write(to);
         self.sighted.write(to);
     }
 
@@ -256,7 +282,12 @@ impl Relocalizer {
         self.wanted.read(from)?;
         self.maps.read(from)?;
         self.fits_several.read(from)?;
-        self.sighted.read(from)
+        self.best.read(from)?;
+        self.sighted.read(from)?;
+        match self.sighted.len() == self.sightings.len() {
+            true => Ok(()),
+            false => Err(SnapshotError::Damaged("sightings without a map".to_owned())),
+        }
     }
 
     /// What robots with one map remember: those of earlier layouts.
@@ -265,6 +296,8 @@ impl Relocalizer {
         self.maps.clear();
         self.maps.extend(self.query.is_some().then_some(0));
         self.fits_several = false;
-        self.sighted = 0;
+        self.best = None;
+        self.sighted.clear();
+        self.sighted.resize(self.sightings.len(), 0);
     }
 }

@@ -25,8 +25,8 @@ fn in_another_map() -> Drive {
     drive
 }
 
-/// Drives to places. Returns how the robot's map has moved each time that it met the other one.
-fn meetings(drive: &mut Drive, places: &[[f64; 2]]) -> Vec<Pose2> {
+/// Drives to places. Returns what moved each time that two maps met.
+fn meetings(drive: &mut Drive, places: &[[f64; 2]]) -> Vec<Joined> {
     let mut found = Vec::new();
     for place in places {
         while let Some((forward_m, yaw_rad)) = drive.robot.step_to(*place) {
@@ -45,6 +45,7 @@ fn a_robot_that_begins_another_map_joins_both_where_they_meet_and_every_submap_i
     assert!((left..right).all(|submap| drive.localizer.map_of(submap) == 1));
     let joined = meetings(&mut drive, &BACK);
     assert_eq!(joined.len(), 1);
+    assert_eq!(joined[0].moved, 1);
     assert_eq!((drive.localizer.map(), drive.localizer.maps()), (0, 1));
     drive.assert_right(0.06);
     // And so it is in the right half, which was mapped before both met.
@@ -128,6 +129,25 @@ fn a_robot_that_is_lost_in_its_second_map_finds_itself_in_the_first() {
     // From here it can meet the second map in the same way.
     let joined = meetings(&mut drive, &[[3.45, 5.5], [3.45, 3.7], [7.45, 3.7], [7.45, 2.2]]);
     assert_eq!((joined.len(), drive.localizer.maps()), (1, 1));
+    // The older map keeps its frame, although the robot was in it.
+    assert_eq!((joined[0].moved, drive.localizer.map()), (1, 0));
+    drive.assert_right(0.06);
+}
+
+#[test]
+fn a_robot_that_keeps_to_its_map_neither_joins_another_nor_finds_itself_in_one() {
+    let mut drive = in_another_map();
+    drive.localizer.stay_in_map(true);
+    meetings(&mut drive, &RIGHT);
+    assert_eq!(meetings(&mut drive, &BACK), []);
+    // Where both maps show the place, it is found in its own.
+    drive.robot.carry_to(Pose2::new(7.45, 2.2, 2.0));
+    drive.stand(6);
+    assert!(drive.search() < 180);
+    assert_eq!((drive.localizer.map(), drive.localizer.maps()), (1, 2));
+    drive.localizer.stay_in_map(false);
+    drive.tour(&[[7.45, 3.7], [5.9, 3.75], [1.95, 3.6], [1.95, 2.2], [3.0, 1.5]]);
+    assert_eq!((drive.localizer.map(), drive.localizer.maps()), (0, 1));
 }
 
 #[test]

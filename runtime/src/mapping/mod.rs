@@ -36,7 +36,7 @@ pub use frame_map::{FrameCell, FrameMapper, SingleFrameMap};
 pub use frontier::{Frontier, FrontierFinder};
 pub use grid::OccupancyGrid;
 pub use inconsistency::{Inconsistency, inconsistencies};
-pub use recompose::{Corrections, Recomposed, Recomposition};
+pub use recompose::{Corrections, Recomposed, Recomposition, Wins};
 #[cfg(test)]
 pub(crate) use scan::cells_on_line;
 pub use surfaces::Surfaces;

@@ -42,6 +42,15 @@ pub enum Recomposed {
     Done,
 }
 
+/// Which cells count where two maps are merged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wins {
+    /// Those of the map that is kept.
+    Kept,
+    /// Those of the map that is added.
+    Added,
+}
+
 impl OccupancyGrid {
     /// Assigns all cells that are observed from now on to this section of the path. Section numbers increase.
     pub fn begin_section(&mut self, section: u16) {
@@ -141,22 +150,18 @@ impl OccupancyGrid {
         let correction = work.corrections.get(section).copied().unwrap_or(Pose2::IDENTITY);
         let new_box = self.moved_box(old_box, &correction);
         let Some(new_box) = new_box.intersection(self.window.cells()) else { return 0 };
-        self.move_section(section, &correction, new_box, |cell, from| {
-            if let Some(to) = self.window.index(cell) {
+        self.move_cells(&correction, new_box, |cell, from| {
+            if let Some(to) = self.window.index(cell)
+                && usize::from(self.section_of[from]) == section
+            {
                 work.source[to] = from as u32 + 1;
             }
         });
         new_box.width() * new_box.height()
     }
 
-    /// For each cell of `new_box` on which a cell of the section comes to lie, calls `place` with it and the index of the old one.
-    fn move_section(
-        &self,
-        section: usize,
-        correction: &Pose2,
-        new_box: CellBox,
-        mut place: impl FnMut(Cell, usize),
-    ) {
+    /// For each cell of `new_box` on which a known cell comes to lie, calls `place` with it and the index of the old one.
+    fn move_cells(&self, correction: &Pose2, new_box: CellBox, mut place: impl FnMut(Cell, usize)) {
         let back = correction.inverse();
         let (sin, cos) = back.yaw_rad.sin_cos();
         let cell_m = self.config.cell_m;
@@ -169,45 +174,41 @@ impl OccupancyGrid {
                     cell_m,
                 );
                 let Some(from) = self.window.index(old) else { continue };
-                if self.stored[from] != 0.0 && usize::from(self.section_of[from]) == section {
+                if self.stored[from] != 0.0 {
                     place(Cell::new(x, y), from);
                 }
             }
         }
     }
 
-    /// Adds the cells of a newer map of the same configuration, each section moved by its correction: where both know a cell, the newer
-    /// map wins. The robot, at `t_map_base`, is on the newer map's current section. About 5 ms for a map of a million cells.
-    pub fn merge(&mut self, newer: &Self, corrections: &[Pose2], t_map_base: &Pose2) {
+    /// Adds the cells of another map of the same configuration, moved as a whole. `wins` says which of both counts where both know a cell.
+    /// The window follows the robot, which is at `t_map_base`: cells outside of it are dropped, as always.
+    pub fn merge(&mut self, added: &Self, correction: &Pose2, t_map_base: &Pose2, wins: Wins) {
         self.recenter(self.cell_at(t_map_base.x_m, t_map_base.y_m));
-        let boxes = newer.known.map_or(Vec::new(), |known| newer.boxes_of_sections(known));
-        for (section, old_box) in boxes.into_iter().enumerate() {
-            let correction = corrections.get(section).copied().unwrap_or(Pose2::IDENTITY);
-            let new_box = old_box.map(|old_box| newer.moved_box(old_box, &correction));
-            let new_box = new_box.and_then(|new_box| new_box.intersection(self.window.cells()));
-            let Some(new_box) = new_box else { continue };
-            newer.move_section(section, &correction, new_box, |cell, from| {
-                if let Some(to) = self.window.index(cell) {
-                    self.stored[to] = self.stored_as(newer.log_odds_at(from));
-                    self.top_cm[to] = newer.top_cm[from];
-                    self.section_of[to] = newer.section_of[from];
+        let new_box = added.known.map(|known| added.moved_box(known, correction));
+        if let Some(new_box) = new_box.and_then(|new_box| new_box.intersection(self.window.cells()))
+        {
+            added.move_cells(correction, new_box, |cell, from| {
+                let Some(to) = self.window.index(cell) else { return };
+                if wins == Wins::Added || self.stored[to] == 0.0 {
+                    self.stored[to] = self.stored_as(added.log_odds_at(from));
+                    self.top_cm[to] = added.top_cm[from];
+                    self.section_of[to] = added.section_of[from];
                 }
             });
         }
-        self.section = newer.section;
+        self.section = self.section.max(added.section);
         self.known = self.box_of_known();
-        self.merge_collisions(newer, corrections);
+        self.merge_collisions(added, correction);
     }
 
-    /// The marks of collisions of a newer map, which stay for as long as they would have stayed there.
-    fn merge_collisions(&mut self, newer: &Self, corrections: &[Pose2]) {
-        for collision in &newer.collisions {
+    /// The marks of collisions of an added map, which stay for as long as they would have stayed there.
+    fn merge_collisions(&mut self, added: &Self, correction: &Pose2) {
+        for collision in &added.collisions {
             let [x_m, y_m] = collision.cell.center_m(self.config.cell_m);
-            let section = newer.section_at(x_m, y_m).unwrap_or(newer.section);
-            let correction = corrections.get(usize::from(section)).copied();
-            let (x_m, y_m) = correction.unwrap_or(Pose2::IDENTITY).transform(x_m, y_m);
+            let (x_m, y_m) = correction.transform(x_m, y_m);
             let cell = self.cell_at(x_m, y_m);
-            let expires = self.updates + collision.expires.saturating_sub(newer.updates);
+            let expires = self.updates + collision.expires.saturating_sub(added.updates);
             self.collisions.retain(|known| known.cell != cell);
             self.collisions.push(Collision { cell, expires });
         }
@@ -387,6 +388,35 @@ mod tests {
         assert!(recompose(&mut in_portions, corrections, 1) > 3);
         let all: Vec<_> = at_once.known_cells().collect();
         assert_eq!(in_portions.known_cells().collect::<Vec<_>>(), all);
+    }
+
+    /// The robot of the added map is half a metre beside a wall of it.
+    #[test]
+    fn a_merged_map_has_the_cells_of_both_at_their_places_and_the_winner_counts_where_both_know_one()
+     {
+        let here = Pose2::new(1.0, 0.0, 0.0);
+        let mut kept = grid();
+        drive(&mut kept, &[Pose2::IDENTITY, here]);
+        let mut added = grid();
+        added.begin_section(2);
+        added.begin_update(&Pose2::IDENTITY).unwrap();
+        added.mark_collision(&Pose2::IDENTITY, 0.45).unwrap();
+        added.mark_standing(&Pose2::IDENTITY, 0.3).unwrap();
+        added.finish_update();
+        // Its origin is at (1.4, 0) of the kept map, and it is rotated by 180 degrees: its wall is at x = 0.95.
+        let correction = Pose2::new(1.4, 0.0, std::f64::consts::PI);
+        for (wins, beside) in [(Wins::Kept, CellState::Free), (Wins::Added, CellState::Occupied)] {
+            let mut map = kept.clone();
+            map.merge(&added, &correction, &here, wins);
+            assert_eq!(map.state_at(0.1, 0.0), CellState::Free, "{wins:?}: of the kept map");
+            assert_eq!(map.state_at(1.6, 0.0), CellState::Free, "{wins:?}: of the added map");
+            assert_eq!(map.state_at(0.95, 0.0), beside, "{wins:?}");
+            assert_eq!(map.section_at(1.6, 0.0), Some(2));
+            // The mark of the collision counts in both, from the next update on.
+            map.begin_update(&here).unwrap();
+            map.finish_update();
+            assert_eq!(map.state_at(0.95, 0.0), CellState::Occupied, "{wins:?}");
+        }
     }
 
     #[test]

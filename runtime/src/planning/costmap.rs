@@ -241,11 +241,6 @@ impl Costmap {
         self.keep_out.change(change);
     }
 
-    /// See [`KeepOut::move_drawn`].
-    pub fn move_drawn_areas(&mut self, moved: impl Fn([f64; 2]) -> [f64; 2]) {
-        self.keep_out.move_drawn(moved);
-    }
-
     /// Sets the [`LEVEL`] flags, which let searches skip cells.
     fn mark_level(&mut self) {
         let stride = self.stride;

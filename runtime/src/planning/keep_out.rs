@@ -34,13 +34,6 @@ impl KeepOut {
         }
     }
 
-    /// The areas that were drawn in a map move with it when it becomes a part of another.
-    pub fn move_drawn(&mut self, moved: impl Fn([f64; 2]) -> [f64; 2]) {
-        for corner_m in self.drawn_m.iter_mut().flatten() {
-            *corner_m = moved(*corner_m);
-        }
-    }
-
     /// The corners of every area that the robot must not leave, metres in `map`.
     #[must_use]
     pub fn keep_in_m(&self) -> &[Vec<[f64; 2]>] {

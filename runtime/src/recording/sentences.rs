@@ -63,16 +63,13 @@ pub fn sentence(event: &Event) -> (Severity, String) {
         }
         Event::MapBegun => (
             Warning,
-            "does not recognize this place: begins another map, and joins both when it comes to a place of the one before"
+            "does not recognize this place: begins another map, which becomes one with the map before where both show the same place"
                 .to_owned(),
         ),
-        Event::MapsJoined { shift_m } => (
-            Info,
-            format!(
-                "recognizes a place of an earlier map: both are one map from now on, and the robot is {shift_m:.2} m from where it was \
-                 in its own"
-            ),
-        ),
+        Event::MapChanged => (Info, "found in another of its maps, and goes on there".to_owned()),
+        Event::MapsJoined => {
+            (Info, "recognizes a place of another map: both are one map from now on".to_owned())
+        }
         Event::StandsLost => (
             Warning,
             "stopped: the robot is lost and does not recognize this place; move it, or clear the map"

@@ -4,8 +4,8 @@ use hal::{LaserScan, Pose2, ScanGeometry, Twist2, WheelFeedback};
 use serde::{Deserialize, Serialize};
 
 use crate::localization::{
-    DrivenLeg, Estimate, Gyroscope, LocalizationConfig, LocalizationError, Localizer, LostReason,
-    PoseSource, WheelError, Whereabouts,
+    DrivenLeg, Estimate, Gyroscope, Joined, LocalizationConfig, LocalizationError, Localizer,
+    LostReason, PoseSource, WheelError, Whereabouts,
 };
 use crate::snapshot::{SnapshotError, State};
 use crate::tick::TickInput;
@@ -60,8 +60,8 @@ pub(super) struct Located {
     pub leg: Option<DrivenLeg>,
     /// `t_odom_base` at this tick's scan, if the scan fits.
     pub matched_scan: Option<Pose2>,
-    /// The robot's map has become a part of another one, in this tick.
-    pub joined: bool,
+    /// Two maps have become one, in this tick.
+    pub joined: Option<Joined>,
 }
 
 impl Located {
@@ -80,7 +80,7 @@ impl Located {
             gyro_refused: false,
             leg: None,
             matched_scan: None,
-            joined: false,
+            joined: None,
         }
     }
 }
@@ -133,7 +133,10 @@ impl Location {
             gyro_refused: estimate.gyro_refused,
             leg: estimate.leg,
             matched_scan: estimate.t_odom_base_at_scan.filter(|_| estimate.matched),
-            joined: estimate.joined.is_some(),
+            joined: estimate.joined.map(|joined| Joined {
+                correction: self.origin.compose(&joined.correction).compose(&self.origin.inverse()),
+                ..joined
+            }),
         }
     }
 
@@ -160,6 +163,23 @@ impl Location {
         if let Some(localizer) = &mut self.localizer {
             localizer.begin_map();
         }
+    }
+
+    /// See [`Localizer::stay_in_map`].
+    pub(super) fn stay_in_map(&mut self, stays: bool) {
+        if let Some(localizer) = &mut self.localizer {
+            localizer.stay_in_map(stays);
+        }
+    }
+
+    /// Whether a scan did not fit a moment ago.
+    pub(super) fn is_doubtful(&self) -> bool {
+        self.localizer.as_ref().is_some_and(Localizer::is_doubtful)
+    }
+
+    /// The numbers of all maps, in order.
+    pub(super) fn maps(&self) -> Vec<u16> {
+        self.localizer.as_ref().map_or(Vec::new(), |localizer| localizer.map_numbers().collect())
     }
 
     /// Number of the map that the robot is in.

@@ -85,12 +85,13 @@ impl Robot {
         self.lost_motion.reset();
     }
 
-    /// The map stays as it is, but the robot is at another place in it: the next tick plans another path.
+    /// The map stays as it is, but the robot is at another place in it, or in another map: the next tick plans another path.
     pub(super) fn note_found(&mut self, before: &Pose2, events: &mut Vec<Event>) {
-        events.push(Event::Found { shift_m: self.poses.t_map_base().distance_m(before) });
-        self.enter_found_map();
-        self.map_correction.jump(&self.location, &mut self.map, self.location.t_map_odom());
-        self.explorer.move_places(|place_m| place_m);
+        if !self.enter_found_map(events) {
+            events.push(Event::Found { shift_m: self.poses.t_map_base().distance_m(before) });
+            self.map_correction.jump(&self.location, &mut self.map, self.poses.t_map_odom);
+            self.explorer.move_places(|place_m| place_m);
+        }
         self.lost_motion.reset();
     }
 

@@ -7,6 +7,7 @@
 use hal::{Pose2, wrap_angle};
 
 use super::location::Location;
+use crate::localization::Joined;
 use crate::mapping::{OccupancyGrid, Recomposed, Recomposition};
 use crate::snapshot::{SnapshotError, State};
 
@@ -79,31 +80,28 @@ impl MapCorrection {
         self.begin_section(location, map);
     }
 
-    /// The map that the robot was in is now a part of another, `map`: draws its cells, of `newer`, there. `is_of_newer` says which sections
-    /// are among them.
+    /// Two maps have become one. The sections for which `is_moved` is true belong to the one that moved; with `robot_moves`, that is the
+    /// robot's. Returns how each section has moved; smaller differences are corrected later.
     pub(super) fn join(
         &mut self,
         location: &Location,
-        map: &mut OccupancyGrid,
-        newer: &OccupancyGrid,
-        is_of_newer: impl Fn(usize) -> bool,
-        t_odom_base: &Pose2,
-    ) -> Moved {
+        joined: &Joined,
+        robot_moves: bool,
+        is_moved: impl Fn(usize) -> bool,
+    ) -> Vec<Pose2> {
         self.work = None;
         self.begin_sections(location);
         let mut corrections = vec![Pose2::IDENTITY; self.drawn.len()];
         for (section, drawn) in self.drawn.iter_mut().enumerate() {
-            if is_of_newer(section) {
-                let now = location.submap_in_map(section).unwrap_or(*drawn);
-                corrections[section] = now.compose(&drawn.inverse());
-                *drawn = now;
+            if is_moved(section) {
+                corrections[section] = joined.correction;
+                *drawn = joined.correction.compose(drawn);
             }
         }
-        let current = corrections.last().copied().unwrap_or(Pose2::IDENTITY);
-        self.in_force = current.compose(&self.in_force);
-        map.merge(newer, &corrections, &self.in_force.compose(t_odom_base));
-        self.begin_section(location, map);
-        Moved { corrections, current }
+        if robot_moves {
+            self.in_force = joined.correction.compose(&self.in_force);
+        }
+        corrections
     }
 
     /// Number of sections of the map: one for each submap.
@@ -135,7 +133,7 @@ impl MapCorrection {
 
     /// Cells that are observed from now on belong to the current submap. Submaps that began while the map was drawn anew have no
     /// cells.
-    fn begin_section(&mut self, location: &Location, map: &mut OccupancyGrid) {
+    pub(super) fn begin_section(&mut self, location: &Location, map: &mut OccupancyGrid) {
         self.begin_sections(location);
         if let Ok(section) = u16::try_from(location.submap()) {
             map.begin_section(section);

@@ -51,7 +51,7 @@ use crate::tick::{Decision, SafetyReport, TickInput};
 use camera_time::CameraTime;
 use location::Location;
 use lost::LostMotion;
-use map_correction::{MapCorrection, Moved};
+use map_correction::MapCorrection;
 use outside_odometry::OutsideOdometry;
 use separate_maps::SeparateMaps;
 use tilt::Tilt;
@@ -336,6 +336,7 @@ impl Robot {
         if version > SNAPSHOT_WITHOUT_SEPARATE_MAPS {
             self.location.read_layout_14(&mut from)?;
             self.separate_maps = SeparateMaps::read(&self.config.map, &mut from)?;
+            self.separate_maps.check(&self.location)?;
         } else {
             self.separate_maps = SeparateMaps::default();
         }
@@ -703,7 +704,7 @@ impl Robot {
             let motion = &mut self.lost_motion;
             let desired =
                 motion.desired(&input.wheel, input.time_ns, yaw_rate, may_begin_map, events);
-            if may_begin_map && self.lost_motion.is_over() {
+            if may_begin_map && self.lost_motion.is_over() && !self.location.is_doubtful() {
                 self.begin_map(events);
             }
             return desired;
@@ -756,6 +757,8 @@ impl Robot {
     ) -> Twist2 {
         let before = self.poses.t_map_base();
         let corrected = self.outside.apply(input, events);
+        // Areas are closed in the map in which the robot is, and mean nothing in another.
+        self.location.stay_in_map(!self.explorer.keep_out().is_empty());
         let located = self.location.update(&self.wheel_frame.apply(&corrected), scan);
         self.poses = located.poses;
         // What another program's poses have corrected is not what the wheels say.
@@ -784,29 +787,22 @@ impl Robot {
             (Some(_), None) => self.note_found(&before, events),
             _ => {}
         }
-        if located.joined {
-            self.poses.t_map_odom = self.map_correction.t_map_odom();
-            self.join_maps(events);
+        if let Some(joined) = located.joined {
+            self.join_maps(&joined, events);
         }
         if let Some(moved) = self.map_correction.update(&self.location, &mut self.map) {
             let before = self.poses.t_map_base();
             events.push(Event::MapCorrected { shift_m: moved.shift_m(&before) });
             let map = &self.map;
             self.explorer.move_places(|place_m| moved.place(map, place_m));
-            self.move_blocked_places(&moved);
+            for place_m in [&mut self.collision_at, &mut self.unseen_at].into_iter().flatten() {
+                *place_m = moved.place(map, *place_m);
+            }
+            self.frame_maps.clear();
             self.dense.correct(moved.corrections());
         }
         self.poses.t_map_odom = self.map_correction.t_map_odom();
         located.twist
-    }
-
-    /// The map has moved, and with it the places where the robot was blocked.
-    fn move_blocked_places(&mut self, moved: &Moved) {
-        let map = &self.map;
-        for place_m in [&mut self.collision_at, &mut self.unseen_at].into_iter().flatten() {
-            *place_m = moved.place(map, *place_m);
-        }
-        self.frame_maps.clear();
     }
 
     /// Until a new command acts, the robot goes on as it does now.

@@ -139,6 +139,7 @@ impl Robot {
         location.read(&mut from)?;
         if version > MAP_STATE_OF_ONE_MAP {
             location.read_layout_14(&mut from)?;
+            known.separate_maps.check(&location)?;
         }
         if !from.is_empty() {
             return Err(MapStateError::Damaged(format!("{} bytes are left over", from.len())));

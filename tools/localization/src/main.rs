@@ -168,14 +168,13 @@ fn find_lost_robots(trials: usize) -> Result<()> {
 fn join_maps(trials: usize) -> Result<()> {
     let homes = relocalize::HOMES;
     let mut rows = Vec::new();
-    for words in ["half of it mapped", "furniture moved", "map of another home"] {
+    for kind in 0..separate::Differs::all(homes[0]).len() {
         let mut all = separate::Results::default();
+        let mut words = "";
         for (index, home) in homes.iter().enumerate() {
-            let differs = match words {
-                "half of it mapped" => separate::Differs::HalfMapped,
-                "furniture moved" => separate::Differs::Moved,
-                _ => separate::Differs::OtherHome(homes[(index + 1) % homes.len()]),
-            };
+            let other_home = homes[(index + 1) % homes.len()];
+            let (differs, in_words) = separate::Differs::all(other_home)[kind];
+            words = in_words;
             // Each drive through another home takes the whole five minutes.
             let is_other = matches!(differs, separate::Differs::OtherHome(_));
             let count = if is_other { trials.div_ceil(5) } else { trials };

@@ -32,6 +32,17 @@ pub enum Differs {
     OtherHome(&'static str),
 }
 
+impl Differs {
+    /// What differs in this home, and in words.
+    pub fn all(other_home: &'static str) -> [(Self, &'static str); 3] {
+        [
+            (Self::HalfMapped, "half of it mapped"),
+            (Self::Moved, "furniture moved"),
+            (Self::OtherHome(other_home), "map of another home"),
+        ]
+    }
+}
+
 /// Results of the trials in one home.
 #[derive(Debug, Default)]
 pub struct Results {
@@ -213,7 +224,8 @@ fn drive(
         let start = Instant::now();
         let estimate = rover.update(localizer);
         update_ms.push(start.elapsed().as_secs_f64() * 1e3);
-        if estimate.joined.is_some() {
+        // Or it was lost once more, and was found in the first map.
+        if estimate.joined.is_some() || localizer.map() == 0 {
             return Ok(Some(step + 1));
         }
     }
