@@ -53,7 +53,7 @@ fn other_stops() -> [OtherStop; 5] {
             event: Event::StandsLost,
             condition: "the robot is lost, has rotated twice without recognizing the place, and does not begin another map: it has a task \
                         or returns to its start, there are areas to keep in or out of, it has four maps, or `localization.new_map_when_lost` is off",
-            end: "it recognizes the place, also because it was moved; it is told to explore, or the areas are opened",
+            end: "it recognizes the place, also because it was moved; a person lets it explore, or opens the areas",
             tests: "`separate_maps_tests::a_robot_that_may_not_begin_another_map_stands`, \
                     `separate_maps_tests::a_robot_with_a_task_or_with_closed_areas_of_its_map_begins_no_other`",
         },
