@@ -77,7 +77,8 @@ impl KeptMap {
                 robot.maps(),
             );
         }
-        let loaded_submaps = robot.submaps();
+        // A map without localization is one section.
+        let loaded_submaps = robot.submaps().max(1);
         Ok(Self { loaded, loaded_submaps, scanner: robot.scanner(), ..kept })
     }
 
