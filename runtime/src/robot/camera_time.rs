@@ -33,8 +33,8 @@ const LONGEST_GAP_S: f64 = 0.25;
 const GYRO_SPAN_S: std::ops::RangeInclusive<f64> = 0.005..=0.06;
 
 /// The robot's motion at the time of the wheel feedback. The yaw rate of the wheels is that of their last report, some milliseconds, in which
-/// their noise is large: of simulated wheels with a noise of 5 %, a latency of 20 ms was found as 15 ms, and with a gyroscope, which left only
-/// the wheels' noise, as 9 ms. So the yaw rate is that of the gyroscope, if there is one.
+/// their noise is large: from simulated wheels with a noise of 5 %, a latency of about 20 ms was found as 14 to 18 ms, and as -5 to 13 ms where a
+/// gyroscope gave the pose (docs/accuracy.md). So the yaw rate is that of the gyroscope, if there is one.
 pub(super) fn motion_now(input: &TickInput<'_>) -> Twist2 {
     let wheels = input.wheel.twist;
     let by_gyro = input.scan.zip(input.imu).and_then(|(scan, imu)| {
@@ -129,12 +129,36 @@ impl CameraTime {
 
 #[cfg(test)]
 mod tests {
+    use super::super::test_robot::standing;
     use super::*;
+    use crate::imu::ImuInput;
     use proptest::prelude::*;
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
     const TICK_S: f64 = 0.1;
+
+    /// The yaw rate at the wheel feedback of a scan that is `age_s` old, during which the gyroscope has rotated by `rotated_rad`; the
+    /// wheels say 0.5 rad/s.
+    fn yaw_rate(age_s: f64, rotated_rad: f64) -> f64 {
+        let mut recorded = standing(100, &Pose2::IDENTITY, Pose2::IDENTITY);
+        recorded.wheel.twist.angular_radps = 0.5;
+        let scan_ns = recorded.scan.as_ref().unwrap().middle_ns();
+        recorded.wheel.time_ns = scan_ns + (age_s * 1e9) as u64;
+        let imu =
+            ImuInput { gaps: 0, yaw_rad: 2.0, yaw_at_scan_rad: 2.0 - rotated_rad, tilt_rad: None };
+        recorded.imu = Some(imu);
+        motion_now(&recorded.input().unwrap()).angular_radps
+    }
+
+    #[test]
+    fn the_gyroscope_gives_the_yaw_rate_since_a_scan_of_a_moment_ago_and_the_wheels_give_it_otherwise()
+     {
+        assert!((yaw_rate(0.02, 0.014) - 0.7).abs() < 1e-6);
+        for (age_s, rotated_rad) in [(0.004, 0.014), (0.061, 0.014), (0.02, f64::NAN)] {
+            assert_eq!(yaw_rate(age_s, rotated_rad), 0.5, "{age_s} {rotated_rad}");
+        }
+    }
 
     /// Drives with yaw rates that change every half second, with a camera that is `latency_s` late. `noise_rad` is the error of
     /// image motion. Returns the filter.
