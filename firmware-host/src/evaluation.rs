@@ -44,7 +44,7 @@ pub struct Evaluation {
     path_m: f64,
     /// True pose at the last frame.
     last_truth: Option<Pose2>,
-    /// Poses in each of the robot's maps. Those in a map that has become a part of another are not kept: its frame is no more.
+    /// Poses in each of the robot's maps. When two become one, only those in the map of the robot are kept: one of the frames is no more.
     poses: BTreeMap<u16, Vec<PosePair>>,
     /// The map in which the robot is.
     map: u16,
@@ -121,6 +121,9 @@ impl Evaluation {
         self.fell |= truth.fell;
         self.count_events(decision, believed);
         self.map = robot.map_number();
+        if decision.events.contains(&Event::MapsJoined) {
+            self.poses.retain(|map, _| *map == self.map);
+        }
         if robot.whereabouts().lost().is_some() {
             // A lost robot claims no pose in its map, and maps nothing.
             return Ok(());
@@ -164,9 +167,6 @@ impl Evaluation {
             }
             if matches!(event, Event::MapBegun | Event::MapChanged | Event::MapsJoined) {
                 self.trips_m.clear();
-            }
-            if matches!(event, Event::MapsJoined) {
-                self.poses.remove(&self.map);
             }
         }
     }

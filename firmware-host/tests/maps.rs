@@ -256,14 +256,17 @@ fn in_the_map_of_another_home_the_robot_stays_lost_and_the_file_stays_as_it_is()
     let map = home.text("home.map");
     home.explored("run", "120", &["--map", &map]);
     let saved = std::fs::read(&map).unwrap();
-    let output = home.explore_in("builtin:house?seed=2", "elsewhere", "300", &["--map", &map]);
-    let said = text(&output.stderr);
-    assert!(output.status.success() && said.contains("home.map stays as it was"), "{said}");
-    assert!(said.contains("the robot was started in a saved map"), "{said}");
-    let ticks = ticks(&home.path("elsewhere"));
-    let is_lost = |tick: &RecordedTick| tick.decision.as_ref().unwrap().lost.is_some();
-    assert!(ticks.len() == 300 && ticks.iter().all(is_lost));
-    assert!(std::fs::read(&map).unwrap() == saved);
+    for scene in ["builtin:house?seed=2", "builtin:office?seed=1"] {
+        let output = home.explore_in(scene, "elsewhere", "300", &["--map", &map]);
+        let said = text(&output.stderr);
+        assert!(output.status.success() && said.contains("home.map stays as it was"), "{said}");
+        assert!(said.contains("the robot was started in a saved map"), "{said}");
+        let ticks = ticks(&home.path("elsewhere"));
+        let is_lost = |tick: &RecordedTick| tick.decision.as_ref().unwrap().lost.is_some();
+        assert!(ticks.len() == 300 && ticks.iter().all(is_lost));
+        assert!(std::fs::read(&map).unwrap() == saved, "{scene}");
+        std::fs::remove_dir_all(home.path("elsewhere")).unwrap();
+    }
 }
 
 #[test]

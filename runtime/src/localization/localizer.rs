@@ -234,7 +234,10 @@ impl Localizer {
         if self.global.settle_poses() {
             return None;
         }
-        if let Some(found) = self.relocalizer.work(&self.global.known()) {
+        // A scan may have been searched for in other maps before the robot was to keep to its own.
+        let found = self.relocalizer.work(&self.global.known());
+        let here = self.global.map();
+        if let Some(found) = found.filter(|found| found.map == here || !self.stays_in_map) {
             self.global.join(&self.local.pose(), &found, self.local.keyframes());
             self.relocalizer.begin(Wanted::Meeting);
             self.whereabouts = Whereabouts::Localized;
@@ -250,7 +253,7 @@ impl Localizer {
         if self.global.revision() != revision {
             self.relocalizer.restart();
         }
-        if was_busy {
+        if was_busy || self.stays_in_map {
             return None;
         }
         let found = self.relocalizer.work(&self.global.known())?;

@@ -11,7 +11,7 @@ use hal::{Pose2, wrap_angle};
 pub(super) struct Drive {
     pub robot: TestRobot,
     pub localizer: Localizer,
-    pub map_from_world: Pose2,
+    map_from_world: Pose2,
     pub lost: Vec<LostReason>,
     wheel_errors: Vec<WheelError>,
 }
@@ -57,7 +57,7 @@ impl Drive {
         self.update()
     }
 
-    pub fn update(&mut self) -> Estimate {
+    fn update(&mut self) -> Estimate {
         let was_lost = self.is_lost();
         let scan = self.robot.scan();
         let wheel = self.robot.wheel;
@@ -87,7 +87,7 @@ impl Drive {
         steps.unwrap_or(360)
     }
 
-    pub fn error(&self) -> Pose2 {
+    fn error(&self) -> Pose2 {
         let truth = self.map_from_world.compose(&self.robot.truth);
         truth.inverse().compose(&self.localizer.estimate().t_map_base())
     }

@@ -2,6 +2,7 @@
 
 mod camera_time;
 mod config;
+mod depth_source;
 #[cfg(test)]
 mod layout_tests;
 mod location;
@@ -29,7 +30,6 @@ use hal::{DepthMap, LaserScan, Pose2, Pose3, Twist2};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
-use serde::{Deserialize, Serialize};
 
 use crate::calibration_watch::{CalibrationWatch, MatchedScan, Report};
 use crate::event::{Event, RefusedInput};
@@ -37,7 +37,7 @@ use crate::exploration::{Explorer, Observations};
 use crate::localization::{Gyroscope, LocalizationError, Whereabouts};
 use crate::mapping::{MapError, OccupancyGrid, SingleFrameMap, Surfaces, Sweep};
 use crate::perception::{
-    CoarseDepth, DenseConfig, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, Moment, NoDepth,
+    CoarseDepth, DenseDepth, DepthEstimate, DepthNetwork, GivenDepth, Moment, NoDepth,
     PerceptionError, map_depth,
 };
 use crate::planning::{ConfigError, Primitive};
@@ -58,66 +58,9 @@ use tilt::Tilt;
 use wheel_frame::WheelFrame;
 
 pub use config::{FRAME_TIMEOUT_S, RobotConfig, SAFETY_HZ, ticks_of_silence};
+pub use depth_source::DepthSource;
 pub use location::TickPoses;
 pub use saved_map::{MAP_STATE_VERSION, MapStateError, SavedMap};
-
-/// Where the depth that goes into the map comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DepthSource {
-    /// Triangulated from known ego-motion; needs no model.
-    Coarse,
-    /// Dense depth, as far as a map may believe it (`perception/map_depth.rs`).
-    Dense,
-    /// The depth network.
-    Network,
-    /// Ground truth: only to test mapping, planning and policies apart from depth.
-    Truth,
-}
-
-impl DepthSource {
-    pub const ALL: [Self; 4] = [Self::Coarse, Self::Dense, Self::Network, Self::Truth];
-
-    /// The depth that goes into the map of a robot without a network.
-    #[must_use]
-    pub fn without_network(dense: &DenseConfig) -> Self {
-        if dense.enabled { Self::Dense } else { Self::Coarse }
-    }
-
-    /// The name on the command line, in the summary and in recordings.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Coarse => "coarse",
-            Self::Dense => "dense",
-            Self::Network => "network",
-            Self::Truth => "truth",
-        }
-    }
-
-    /// The source with this [`name`](Self::name).
-    #[must_use]
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|source| source.name() == name)
-    }
-
-    /// What it is, for the help of the command line.
-    #[must_use]
-    pub fn description(self) -> &'static str {
-        match self {
-            Self::Coarse => {
-                "Coarse depth, triangulated between frames from the known motion of the robot"
-            }
-            Self::Dense => {
-                "Dense depth: for each pixel the most probable of coarse depth, depth that was observed earlier, and the walls and the floor that the scan shows"
-            }
-            Self::Network => "The output of the depth network",
-            Self::Truth => {
-                "Ground truth of the simulator, to test mapping and planning only; no real robot has it"
-            }
-        }
-    }
-}
 
 /// Which part of the configuration cannot be used, and why.
 #[derive(Debug, thiserror::Error)]

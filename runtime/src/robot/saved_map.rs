@@ -18,7 +18,7 @@ use crate::snapshot::{SnapshotError, State};
 /// Increased whenever the layout of the grid, of localization, or of the map's correction changes. Older map states are then
 /// refused, except the one before.
 pub const MAP_STATE_VERSION: u32 = 3;
-/// The layout before, which lacks the other maps of a robot that has several, at its end.
+/// The layout before, which lacks the other maps of a robot that has several, and what localization knows of them.
 const MAP_STATE_OF_ONE_MAP: u32 = 2;
 
 /// Why a map cannot be used. The robot is unchanged.

@@ -24,7 +24,7 @@ pub(super) struct SeparateMaps {
     /// Number of the map in which the robot is.
     current: u16,
     others: Vec<WaitingMap>,
-    /// The map of each section, as long as there were never others than the first: none.
+    /// The map of each section; empty until there was a second map.
     map_of: Vec<u16>,
 }
 
@@ -170,7 +170,7 @@ impl Robot {
         self.bumped = false;
     }
 
-    /// Localization has made one of two maps, with one of which is that of the robot.
+    /// Localization has made one map of that of the robot and another one.
     pub(super) fn join_maps(&mut self, joined: &Joined, events: &mut Vec<Event>) {
         let maps = &mut self.separate_maps;
         let moves = joined.moved == maps.current;

@@ -1,8 +1,8 @@
 //! Trials of robots in homes that their map does not describe well: `localization --separate`.
 //!
-//! The map holds the first half of a tour, and the robot is put where it has never been; or it holds the whole home, and all furniture was
-//! moved since; or it is of another home. The robot searches on the spot, and if it does not find itself, it begins another map, drives a tour from there, and joins
-//! both maps where they meet. Every place that it accepts is compared with the truth.
+//! The map holds the first half of a tour, and the robot is put where it has never been; or it holds the whole home, and all furniture
+//! was moved since; or it is of another home. The robot searches on the spot, and if it does not find itself, it begins another map,
+//! drives a tour from there, and joins both maps where they meet. Every place that it accepts is compared with the truth.
 
 use std::sync::Arc;
 use std::time::Instant;
