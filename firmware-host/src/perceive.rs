@@ -1,6 +1,7 @@
 //! `firmware-host perceive`: estimates depth on recorded images, measures its accuracy and draws a
 //! map.
 
+mod restarts;
 mod source;
 
 use std::time::Instant;
@@ -28,6 +29,7 @@ use crate::report::table;
 use crate::report::top_view::TopView;
 use crate::setup;
 use crate::stopwatch::Stopwatch;
+use restarts::Restarts;
 use source::{Source, View};
 
 /// Processes every image of the sequence and writes the reports.
@@ -48,6 +50,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
     let mount = source.is_recording().then(|| config.camera.t_base_camera());
     let mut evaluator = Evaluator {
         depth: FrameDepth::new(&config.coarse, &config.dense, camera, mount.as_ref())?,
+        restarts: args.restart_every.map(|every| Restarts::new(every, config, camera, mount)),
         network,
         coarse_accuracy: Accuracy::new(),
         dense_accuracy: Accuracy::new(),
@@ -132,6 +135,8 @@ fn top_view(dataset: &Dataset) -> Result<TopView> {
 /// Runs coarse depth and the network, and collects their accuracy and timing.
 struct Evaluator {
     depth: FrameDepth,
+    /// What a robot knows that has just started, for the dump.
+    restarts: Option<Restarts>,
     network: Option<DepthNetwork>,
     coarse_accuracy: Accuracy,
     dense_accuracy: Accuracy,
@@ -148,7 +153,7 @@ struct Evaluator {
 }
 
 impl Evaluator {
-    /// Processes one image. Returns its depth without a network.
+    /// Processes one image. Returns its depth without a network, as it is dumped.
     fn process(&mut self, index: u64, view: &View) -> Result<Depths<'_>> {
         let View { sample, scan, moment } = view;
         let frame = ImageView::rgb8(sample.camera.width, sample.camera.height, &sample.rgb)?;
@@ -197,7 +202,11 @@ impl Evaluator {
         }
         let depths = FrameDepths { coarse, dense, network: refined, truth: sample.truth.as_ref() };
         self.sheet.offer(index, depths.count(), || SheetRow::capture(index, &frame, &depths));
-        Ok(Depths { coarse, dense })
+        let restarted = match &mut self.restarts {
+            Some(restarts) => restarts.dense(index, &shot)?,
+            None => None,
+        };
+        Ok(Depths { coarse, dense: restarted.unwrap_or(dense) })
     }
 
     fn summary(&self, frames: u64, wall_s: f64, dataset: &str) -> Summary {

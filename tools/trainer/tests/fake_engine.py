@@ -71,5 +71,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     for name in ("--recording", "--dump", "--out"):
         parser.add_argument(name, type=Path, required=True)
+    parser.add_argument("--restart-every")
     options = parser.parse_args()
     perceive(options.recording, options.dump)

@@ -61,6 +61,9 @@ COMMANDS = {
     "fleet": _command("fleet", "train one network per policy and architecture on recordings of many homes"),
     "jobs": _command("jobs", "print a job file: every network x policy x scene x seed", run="run_jobs_command"),
     "results": _command("results", "make the tables and figures of a study"),
+    "adapt": _command(
+        "adapt", "measure how much better depth gets in a simulated home by training on a drive through it"
+    ),
     "evaluate": _command("evaluate", "measure a trained network beside simple baselines"),
     "make-default": _command(
         "make_default", "make the robot's default network: explore, label, train, calibrate, export"

@@ -27,7 +27,7 @@ from embodied_depth_trainer.processes import pick_device
 from embodied_depth_trainer.store.dataset import Dataset, open_dataset, record_version
 from embodied_depth_trainer.store.pair_index import find_pairs
 from embodied_depth_trainer.store.prepare import Tools, prepare
-from embodied_depth_trainer.store.recipe import Recipe, engine_of
+from embodied_depth_trainer.store.recipe import RESTART_EVERY, Recipe, engine_of
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.training.initial import chosen
 from embodied_depth_trainer.training.progress import Progress, draw
@@ -127,11 +127,13 @@ CALIBRATION_RUNS = (
 )
 
 
-def make_default(robot: Path, work: Path, out: Path, settings: Settings = SETTINGS, device: str = "cpu") -> float:
+def make_default(
+    robot: Path, work: Path, out: Path, settings: Settings = SETTINGS, device: str = "cpu", workers: int = 1
+) -> float:
     """Writes the network to `out` and everything that it is made from to `work`; `robot` is the firmware-host. Returns
     the largest difference between ONNX Runtime and PyTorch."""
-    dataset = _dataset(robot, RUNS, FRAMES, work, "store")
-    pairs, validation = find_pairs(dataset, None, PairRule())
+    dataset = _dataset(robot, RUNS, FRAMES, work / "store", workers)
+    pairs, validation = find_pairs(dataset, None, PairRule(), settings.needs_sources)
     trainer = Trainer(dataset.frames, pairs, settings, device, dataset=dataset.summary)
     record_version(dataset, work / "training")
     _log(f"training on {len(pairs)} of {len(dataset.frames)} frames")
@@ -140,20 +142,21 @@ def make_default(robot: Path, work: Path, out: Path, settings: Settings = SETTIN
     draw(work / "training")
     uncalibrated = work / "uncalibrated.onnx"
     difference = export_checkpoint(checkpoint, None, uncalibrated)
-    further = _dataset(robot, CALIBRATION_RUNS, CALIBRATION_FRAMES, work, "calibration-store")
+    further = _dataset(robot, CALIBRATION_RUNS, CALIBRATION_FRAMES, work / "calibration-store", workers)
     calibration, counts = calibrate(uncalibrated, further.frames, out, further.summary)
     _log(table(counts, calibration))
     return difference
 
 
-def _dataset(robot: Path, runs: Sequence[Run], count: int, work: Path, store_name: str) -> Dataset:
-    """The frames of these runs, `count` each, with coarse depth and labels."""
-    folders = [work / run.folder for run in runs]
-    for run, folder in zip(runs, folders, strict=True):
-        if not (folder / "run/summary.json").exists():
-            _explore(robot, run, count, folder)
-    tools = Tools(Recipe("robot", engine_of(robot)), robot)
-    store = Store.create(work / store_name, tools.recipe)
+def _dataset(robot: Path, runs: Sequence[Run], count: int, folder: Path, workers: int) -> Dataset:
+    """The frames of these runs, `count` each, with coarse depth and labels; the store is `folder`, the runs are beside
+    it."""
+    folders = [folder.parent / run.folder for run in runs]
+    for run, recorded in zip(runs, folders, strict=True):
+        if not (recorded / "run/summary.json").exists():
+            _explore(robot, run, count, recorded)
+    tools = Tools(Recipe("robot", engine_of(robot), restart_every=RESTART_EVERY), robot, workers=workers)
+    store = Store.create(folder, tools.recipe)
     prepare(folders, store, tools)
     return open_dataset([store], every=EVERY)
 
@@ -188,12 +191,14 @@ def add_make_default(command: argparse.ArgumentParser) -> None:
     add_init(command)
     add_device(command)
     add_amp(command)
-    command.add_argument("--threads", type=int, default=1, help="CPU threads [1]")
+    command.add_argument("--threads", type=int, default=1, help="CPU threads of the training [1]")
+    command.add_argument("--workers", type=int, default=1, help="processes that prepare recordings [1]")
     command.add_argument("--out", type=Path, required=True, help="ONNX file to write")
 
 
 def run_make_default(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     settings = replace(SETTINGS, init=chosen(options.init), amp=options.amp)
-    difference = make_default(options.robot, options.work, options.out, settings, pick_device(options.device))
+    device = pick_device(options.device)
+    difference = make_default(options.robot, options.work, options.out, settings, device, options.workers)
     report_parity(options.out, difference)

@@ -23,7 +23,7 @@ from embodied_depth_trainer.data.teacher_options import MEAN, MULTIPLE, STD, Tea
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.parts import Part
 from embodied_depth_trainer.store.prepare import Report, Tools, prepare, prepare_part, prune, remove_damaged
-from embodied_depth_trainer.store.recipe import Coarse, Recipe, engine_of
+from embodied_depth_trainer.store.recipe import RESTART_EVERY, Coarse, Recipe, engine_of
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.studies.robot import find_firmware_host
 
@@ -71,6 +71,14 @@ def add_prepare(command: argparse.ArgumentParser) -> None:
         help="compute coarse depth from this many past frames instead, as the paper does",
     )
     command.add_argument("--past-gap", type=int, default=GAP, help=f"frames between two past frames [{GAP}]")
+    command.add_argument(
+        "--restart-every",
+        type=int,
+        default=RESTART_EVERY,
+        metavar="FRAMES",
+        help="dense depth of every second stretch of this many frames is that of a robot that starts with the stretch, "
+        f"so that networks learn what to do without memory; 0: never [{RESTART_EVERY}]",
+    )
     command.add_argument("--no-labels", action="store_true", help="compute no labels")
     command.add_argument(
         "--check", action="store_true", help="first compare all digests, and make what is damaged again"
@@ -125,8 +133,17 @@ def tools_of(options: argparse.Namespace) -> Tools:
         # A file that cannot be used is reported before anything is computed.
         Teacher(options.teacher, teacher_options)
         digest = hashlib.sha256(options.teacher.read_bytes()).hexdigest()
+    if options.restart_every < 0:
+        raise TrainerError(f"--restart-every {options.restart_every} is no number of frames; give 0 or more")
     recipe = Recipe(
-        coarse, engine_of(robot) if robot else None, past, options.size, has_labels, digest, teacher_options
+        coarse,
+        engine_of(robot) if robot else None,
+        past,
+        options.size,
+        has_labels,
+        digest,
+        teacher_options,
+        options.restart_every or None if robot else None,
     )
     if options.workers is not None and options.on != LOCAL:
         raise TrainerError(

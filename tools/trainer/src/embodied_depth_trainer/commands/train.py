@@ -269,14 +269,16 @@ def run_rank(options: argparse.Namespace, device: str) -> None:
             f"no frame of {len(frames)} has a LiDAR scan from about its time; train on them without --lidar-weight"
         )
     low, high = options.baseline
-    pairs, validation = find_pairs(dataset, options.gap, PairRule(min_baseline_m=low, max_baseline_m=high))
+    settings = settings_of(options, past_of(stores))
+    rule = PairRule(min_baseline_m=low, max_baseline_m=high)
+    pairs, validation = find_pairs(dataset, options.gap, rule, settings.needs_sources)
+    what = "have source frames" if settings.needs_sources else "are trained on, without source frames"
     print(
-        f"{len(frames)} frames, {len(pairs)} of them have source frames; validation on {len(validation)} held-out ones",
+        f"{len(frames)} frames, {len(pairs)} of them {what}; validation on {len(validation)} held-out ones",
         file=sys.stderr,
     )
     if options.buffer is not None:
         pairs = select(frames, pairs, options.buffer, options.keep, options.seed)
-    settings = settings_of(options, past_of(stores))
     trainer = Trainer(frames, pairs, settings, device, options.readers, dataset.summary)
     first = processes.rank() == 0
     if first:

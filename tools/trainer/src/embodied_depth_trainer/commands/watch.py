@@ -36,8 +36,8 @@ from embodied_depth_trainer.store.dataset import open_dataset, record_version
 from embodied_depth_trainer.store.known_robots import KnownRobots
 from embodied_depth_trainer.store.pair_index import find_pairs
 from embodied_depth_trainer.store.prepare import Tools, prepare
-from embodied_depth_trainer.store.recipe import Recipe, engine_of
-from embodied_depth_trainer.store.store import Store
+from embodied_depth_trainer.store.recipe import RESTART_EVERY, Recipe, engine_of
+from embodied_depth_trainer.store.store import Store, is_store, restarts_of
 from embodied_depth_trainer.studies.robot import find_firmware_host
 from embodied_depth_trainer.training.initial import SHIPPED, SHIPPED_NAME, chosen, given_depth
 from embodied_depth_trainer.training.progress import VALIDATIONS, Progress, draw
@@ -87,9 +87,12 @@ class Watch:
 
     def __init__(self, settings: WatchSettings) -> None:
         self.settings = settings
-        recipe = Recipe("robot", engine_of(settings.robot))
+        folder = settings.work / "store"
+        # A watch that an earlier version began goes on with the memory in all of its dense depth.
+        restart_every = restarts_of(folder) if is_store(folder) else RESTART_EVERY
+        recipe = Recipe("robot", engine_of(settings.robot), restart_every=restart_every)
         self.tools = Tools(recipe, settings.robot, known_robots=settings.known_robots)
-        self.store = Store.create(settings.work / "store", self.tools.recipe)
+        self.store = Store.create(folder, self.tools.recipe)
         # A shard's digests are compared once in the life of a watch.
         self.checked: set[str] = set()
 
@@ -139,9 +142,10 @@ def _read_state(work: Path) -> tuple[int, int]:
 def _round(watched: Watch, number: int) -> Path:
     settings = watched.settings
     dataset = open_dataset([watched.store], every=settings.every, checked=watched.checked)
-    pairs, validation = find_pairs(dataset, None, PairRule())
+    chosen = _training(settings)
+    pairs, validation = find_pairs(dataset, None, PairRule(), chosen.needs_sources)
     training = settings.work / "training"
-    trainer = Trainer(dataset.frames, pairs, _training(settings), settings.device, dataset=dataset.summary)
+    trainer = Trainer(dataset.frames, pairs, chosen, settings.device, dataset=dataset.summary)
     record_version(dataset, training)
     steps = (number + 1) * settings.steps
     with Progress(trainer, validation, steps, training, settings.steps // VALIDATIONS) as progress:

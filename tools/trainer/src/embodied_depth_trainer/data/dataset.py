@@ -8,7 +8,7 @@ from pathlib import Path
 
 from embodied_depth_trainer.data.coarse_depth import read_dataset_dump, with_coarse
 from embodied_depth_trainer.data.frames import Frames, join
-from embodied_depth_trainer.data.held_out import only_held_out, without_held_out
+from embodied_depth_trainer.data.held_out import only_held_out, targets_alone, without_held_out
 from embodied_depth_trainer.data.pairs import PairRule, Pairs, pairs_by_baseline, pairs_by_gap
 from embodied_depth_trainer.data.past_frames import PastFrames, with_past_coarse
 from embodied_depth_trainer.data.recording import read_recording
@@ -56,8 +56,10 @@ def read_frames(
 VALIDATION_FRAMES = 32
 
 
-def find_pairs(frames: Frames, gap: int | None, rule: PairRule) -> tuple[Pairs, Pairs]:
+def find_pairs(frames: Frames, gap: int | None, rule: PairRule, needs_sources: bool = True) -> tuple[Pairs, Pairs]:
     """Pairs for training, without held-out frames, and pairs of held-out frames for validation: by the rule, or `gap`
-    frames apart."""
+    frames apart. For a loss that needs no sources, all frames without any."""
+    if not needs_sources:
+        return targets_alone(frames, VALIDATION_FRAMES)
     pairs = pairs_by_baseline(frames, rule) if gap is None else pairs_by_gap(frames, gap)
     return without_held_out(frames, pairs), only_held_out(frames, pairs, VALIDATION_FRAMES)

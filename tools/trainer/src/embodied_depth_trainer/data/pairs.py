@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,15 +58,27 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.targets)
 
+    @cached_property
+    def have_sources(self) -> bool:
+        return any(len(side) for sides in (self.earlier, self.later) for side in sides)
+
     def sample(self, batch: int, generator: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Draws `batch` targets [B] and two sources of each [B, 2]: one before and one after where both exist, because
-        each sees parts of the scene that the other does not."""
+        each sees parts of the scene that the other does not. Targets that are `alone` have none [B, 0]."""
         chosen = generator.integers(len(self.targets), size=batch)
+        if not self.have_sources:
+            return self.targets[chosen], np.empty((batch, 0), np.int64)
         sources = np.empty((batch, 2), np.int64)
         for row, index in enumerate(chosen):
             sides = [side for side in (self.earlier[index], self.later[index]) if len(side)]
             sources[row] = generator.choice(sides[0]), generator.choice(sides[-1])
         return self.targets[chosen], sources
+
+
+def alone(targets: NDArray[np.int64]) -> Pairs:
+    """Targets without sources, for a loss that compares depth with labels only."""
+    nothing = [np.empty(0, np.int64)] * len(targets)
+    return Pairs(targets, nothing, nothing)
 
 
 def pairs_by_baseline(frames: FrameSet, rule: PairRule) -> Pairs:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from embodied_depth_trainer.data.frame_set import FrameSet
-from embodied_depth_trainer.data.held_out import only_held_out, without_held_out
+from embodied_depth_trainer.data.held_out import only_held_out, targets_alone, without_held_out
 from embodied_depth_trainer.data.pairs import PairRule, Pairs, by_side, pairs_by_gap, sources_of
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store.arrays import DamagedError, FolderWriter
@@ -29,9 +29,11 @@ VALIDATION_FRAMES = 32
 NAME_DIGITS = 8
 
 
-def find_pairs(dataset: Dataset, gap: int | None, rule: PairRule) -> tuple[Pairs, Pairs]:
+def find_pairs(dataset: Dataset, gap: int | None, rule: PairRule, needs_sources: bool = True) -> tuple[Pairs, Pairs]:
     """Pairs for training, without held-out frames, and pairs of held-out frames for validation: by the rule, or `gap`
-    frames apart."""
+    frames apart. For a loss that needs no sources, all frames without any."""
+    if not needs_sources:
+        return targets_alone(dataset.frames, VALIDATION_FRAMES)
     pairs = indexed_pairs(dataset, rule) if gap is None else pairs_by_gap(dataset.frames, gap)
     frames = dataset.frames
     return without_held_out(frames, pairs), only_held_out(frames, pairs, VALIDATION_FRAMES)

@@ -14,6 +14,8 @@ from embodied_depth_trainer.data.teacher_options import TeacherOptions
 from embodied_depth_trainer.errors import TrainerError
 
 FORMAT_VERSION = 2
+# Length of the stretches of frames of which every second is given as by a robot that has just started.
+RESTART_EVERY = 10
 Coarse = Literal["robot", "past frames", "none"]
 
 
@@ -32,10 +34,16 @@ class Recipe:
     teacher: str | None = None
     """SHA-256 digest of the file of a monocular network that adds labels."""
     teacher_options: TeacherOptions | None = None
+    restart_every: int | None = None
+    """Dense depth of every second stretch of this many frames is that of a robot that starts with the stretch; `None`:
+    all of it has the memory of what the segment showed before."""
 
     def plain(self) -> dict[str, Any]:
         """In the types of JSON."""
         plain: dict[str, Any] = json.loads(json.dumps({"format_version": FORMAT_VERSION, **asdict(self)}))
+        # Stores of before it existed keep their recipe.
+        if self.restart_every is None:
+            del plain["restart_every"]
         return plain
 
     @property

@@ -143,6 +143,8 @@ def _dump(job: ShardJob, file: Path, frames: Frames, scratch: Path) -> Iterator[
     try:
         folder.mkdir(mode=0o700)
         command = [str(job.robot), "perceive", "--recording", str(file)]
+        if job.recipe.restart_every is not None:
+            command += ["--restart-every", str(job.recipe.restart_every)]
         call([*command, "--out", str(folder / "look"), "--dump", str(folder / "dump")], folder / "perceive.log")
         yield CoarseDump(folder / "dump", frames)
     finally:

@@ -118,9 +118,11 @@ class Store:
         if not file.exists():
             _begin(file, json.dumps(recipe.plain(), indent=1, sort_keys=True).encode())
         store = Store(folder)
-        different = {key: value for key, value in store.recipe.items() if recipe.plain().get(key) != value}
+        wanted = recipe.plain()
+        keys = store.recipe.keys() | wanted.keys()
+        different = {key: store.recipe.get(key) for key in sorted(keys) if store.recipe.get(key) != wanted.get(key)}
         if different:
-            wanted = {key: recipe.plain().get(key) for key in different}
+            wanted = {key: wanted.get(key) for key in different}
             raise TrainerError(
                 f"{folder} was made with {different}, now {wanted} is requested; give another --out, or the options "
                 "and the firmware-host that it was made with"
@@ -191,6 +193,16 @@ class Store:
     def keep(self, run: Run) -> None:
         """Writes the list of a run's segments."""
         write_run(run, self.run_file(run.source))
+
+
+def is_store(folder: Path) -> bool:
+    return (folder / RECIPE_FILE).exists()
+
+
+def restarts_of(folder: Path) -> int | None:
+    """The `restart_every` of an existing store."""
+    every: int | None = Store(folder).recipe.get("restart_every")
+    return every
 
 
 def _begin(file: Path, recipe: bytes) -> None:

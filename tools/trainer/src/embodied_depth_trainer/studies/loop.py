@@ -185,8 +185,9 @@ class _Loop:
     def _train(self, frames: Frames, steps: int) -> Path:
         if self.settings.labels:
             frames = replace(frames, labels=labels(frames))
-        pairs, validation = find_pairs(frames, self.settings.gap, PairRule())
-        trainer = Trainer(frames, pairs, self.settings.training(), self.device)
+        settings = self.settings.training()
+        pairs, validation = find_pairs(frames, self.settings.gap, PairRule(), settings.needs_sources)
+        trainer = Trainer(frames, pairs, settings, self.device)
         folder = self.out / "training"
         with Progress(trainer, validation, steps, folder, CHECKPOINT_EVERY) as progress:
             return train(trainer, steps, folder, CHECKPOINT_EVERY, progress)

@@ -82,14 +82,27 @@ def render_views(program: Path, scene: str, config: Path, count: int, seed: int,
     partial.rename(out)
 
 
-def explore(program: Path, scene: str, policy: str, seed: int, frames: int, config: Path, out: Path, log: Path) -> None:
-    """Explores on coarse depth, which is written to `out`/coarse. `out` appears complete or not at all."""
+def explore(
+    program: Path,
+    scene: str,
+    policy: str,
+    seed: int,
+    frames: int,
+    config: Path,
+    out: Path,
+    log: Path,
+    dump: bool = True,
+) -> None:
+    """Explores without a network. With `dump`, coarse depth is written to `out`/coarse. `out` appears complete or
+    not at all."""
     partial = out.with_name(out.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.parent.mkdir(parents=True, exist_ok=True)
     command = [str(program), "explore", "--scene", scene, "--policy", policy, "--seed", str(seed)]
     command += ["--frames", str(frames), "--config", str(config)]
-    command += ["--out", str(partial), "--dump", str(partial / "coarse")]
+    command += ["--out", str(partial)]
+    if dump:
+        command += ["--dump", str(partial / "coarse")]
     with log.open("ab") as stream:
         done = subprocess.run(command, stdout=stream, stderr=stream, check=False, preexec_fn=die_with_parent)
     if done.returncode != 0:

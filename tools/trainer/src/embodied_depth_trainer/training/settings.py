@@ -54,6 +54,11 @@ class Settings:
     """Computes convolutions in bfloat16; loss and weights stay in float32."""
     loss: LossOptions = field(default_factory=LossOptions)
 
+    @property
+    def needs_sources(self) -> bool:
+        """Whether the loss or the network looks at other frames than the target."""
+        return self.photometric_weight > 0 or self.loss.both_ways or self.network == "manydepth_r18"
+
     def learning_rate_at(self, step: int) -> float:
         if self.decay is not None:
             first, last = self.decay

@@ -104,6 +104,9 @@ class Validation:
 
     def __init__(self, pairs: Pairs) -> None:
         self.targets = pairs.targets
+        if not pairs.have_sources:
+            self.sources: NDArray[np.int64] = np.empty((len(pairs), 0), np.int64)
+            return
         # The source in the middle of each side: neither the shortest nor the longest baseline.
         sides = [[side for side in both if len(side)] for both in zip(pairs.earlier, pairs.later, strict=True)]
         sources = [[side[0][len(side[0]) // 2], side[-1][len(side[-1]) // 2]] for side in sides]

@@ -1,0 +1,131 @@
+"""How much better depth gets in one home while a robot drives there and its network is trained on what it recorded.
+
+A robot explores a home. Each time that it has driven on for some frames, the network is trained further on everything
+recorded so far, as `watch` does for a real robot, and is measured on views of the home from random places of its free
+floor. Ground truth exists only in these views. The robot drives without the networks, so that all of them are trained
+on the same recording.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+from mcap.reader import make_reader
+
+from embodied_depth_trainer.data.messages import IMAGE, segments
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.networks.runtime import OnnxNetwork
+from embodied_depth_trainer.studies.plots import save
+from embodied_depth_trainer.studies.views import Rows, Views
+
+RESULT_FILE = "result.json"
+# The name of the network's rows in the metrics, whichever file it comes from.
+NETWORK = "network"
+# Frames of the robot in a minute.
+FRAMES_PER_MINUTE = 600
+PARTS = {"all": "all views", "drive": "after driving", "turn": "after a rotation on the spot"}
+
+LABELS = {
+    "dense": "dense depth, without a network",
+    "coarse": "coarse depth",
+    "constant": "constant (each view's median of the truth)",
+}
+
+
+@dataclass(frozen=True)
+class AdaptationSettings:
+    """The settings of a study. The names are part of the formats of `settings.json` and `result.json`."""
+
+    scene: str
+    policy: str = "active"
+    seed: int = 1
+    """Seed of the robot."""
+    after: tuple[int, ...] = (1500, 3000, 6000, 12000)
+    """Frames after which the network is trained; the last is the length of the drive."""
+    steps: int = 1000
+    """Training steps of a round."""
+    views: int = 160
+    views_seed: int = 1000
+    init: str | None = None
+    """File of the network to begin with; `None`: random weights."""
+
+    def __post_init__(self) -> None:
+        if not self.after or list(self.after) != sorted(set(self.after)) or self.after[0] < 1:
+            raise TrainerError(f"--after {' '.join(map(str, self.after))} are no growing numbers of frames")
+
+
+def pull(run: Path, frames: int, pulled: Path) -> int:
+    """Links the segments of a run that are complete after this many frames into `pulled`, as pull-buffer would have
+    fetched them by then. Returns the number of frames in them."""
+    folder = pulled / run.name
+    folder.mkdir(parents=True, exist_ok=True)
+    count = 0
+    for segment in segments(run):
+        count += _frames_of(segment)
+        if count > frames:
+            return count - _frames_of(segment)
+        if not (folder / segment.name).exists():
+            os.link(segment, folder / segment.name)
+    return count
+
+
+def _frames_of(segment: Path) -> int:
+    with segment.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    if summary is None or summary.statistics is None:
+        raise TrainerError(f"{segment} has no index; let the robot finish its run")
+    named = {channel.id: channel.topic for channel in summary.channels.values()}
+    counts = summary.statistics.channel_message_counts
+    return sum(count for channel, count in counts.items() if named[channel] == IMAGE)
+
+
+def measured(network: Path, views: Views) -> Rows:
+    """The metrics of an exported network, and of what needs no network, on the views."""
+    loaded = OnnxNetwork(network)
+    return views.evaluate({NETWORK: loaded}, loaded.depth_range_m)
+
+
+def as_table(curve: Sequence[dict[str, Any]]) -> str:
+    """The share of all pixels that are right as a table in Markdown."""
+    lines = []
+    for part, title in PARTS.items():
+        if part not in curve[0]["metrics"]:
+            continue
+        rows = curve[0]["metrics"][part]
+        without = ", ".join(
+            f"{name} {rows[name]['right']:.3f}" for name in ("constant", "coarse", "dense") if name in rows
+        )
+        lines += [f"{title} ({without}):", "", "| minutes driven | training steps | network, right of all pixels |"]
+        lines += ["|---|---|---|"]
+        lines += [
+            f"| {point['frames'] / FRAMES_PER_MINUTE:.0f} | {point['steps']} | "
+            f"{point['metrics'][part][NETWORK]['right']:.3f} |"
+            for point in curve
+        ]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def draw(curve: Sequence[dict[str, Any]], title: str, file: Path) -> None:
+    """Draws the share of all pixels that are right against the minutes driven, for each kind of views."""
+    parts = [part for part in PARTS if part in curve[0]["metrics"]]
+    figure = Figure((4.6 * len(parts), 3.8), layout="constrained")
+    axes = figure.subplots(1, len(parts), squeeze=False, sharey=True)
+    minutes = [point["frames"] / FRAMES_PER_MINUTE for point in curve]
+    for axis, part in zip(axes[0], parts, strict=True):
+        rows = [point["metrics"][part] for point in curve]
+        axis.plot(minutes, [row[NETWORK]["right"] for row in rows], "o-", label="network")
+        for name, style in (("dense", "--"), ("coarse", "-."), ("constant", ":")):
+            if name in rows[0]:
+                axis.axhline(rows[0][name]["right"], linestyle=style, color="grey", label=LABELS[name])
+        axis.set(title=PARTS[part], xlabel="minutes driven", ylim=(0, 1))
+        axis.grid(alpha=0.3)
+    axes[0][0].set_ylabel("share of all pixels within 25 %")
+    axes[0][0].legend(loc="lower right", fontsize=8)
+    figure.suptitle(f"{title} (simulated)", fontsize=10)
+    save(figure, file)
