@@ -105,6 +105,8 @@ fn a_home_that_was_saved_is_known_when_the_next_run_begins_and_that_run_replays(
     assert_eq!(found.lost, None, "{again}");
     assert!(replayed(&home.text("again")).ends_with("replay: ticks=100 mismatches=0\n"));
     assert_ne!(std::fs::read(&map).unwrap(), saved, "the file holds the newer map");
+    let previous = home.path("home.previous.map");
+    assert_eq!(std::fs::read(previous).unwrap(), saved, "the map of before stays beside it");
 }
 
 fn coverage(summary: &serde_json::Value) -> f64 {

@@ -27,6 +27,8 @@ pub struct KeptMap {
     areas: DrawnAreas,
     /// Where maps that have not met the loaded one are written in this run.
     separate: Option<PathBuf>,
+    /// Where the loaded map stays when this run replaces it for the first time; `None` afterwards, and for a new map.
+    previous: Option<PathBuf>,
     /// Writes the map during the run.
     writing: Option<JoinHandle<()>>,
 }
@@ -46,6 +48,7 @@ impl KeptMap {
             scanner: None,
             areas: DrawnAreas::beside(path)?,
             separate: None,
+            previous: None,
             writing: None,
         };
         if !path.exists() {
@@ -79,7 +82,8 @@ impl KeptMap {
         }
         // A map without localization is one section.
         let loaded_submaps = robot.submaps().max(1);
-        Ok(Self { loaded, loaded_submaps, scanner: robot.scanner(), ..kept })
+        let previous = Some(beside(path, ".previous"));
+        Ok(Self { loaded, loaded_submaps, scanner: robot.scanner(), previous, ..kept })
     }
 
     /// BLAKE3 digest of the map state that the run began with, in hex; `None` for a new map.
@@ -109,14 +113,14 @@ impl KeptMap {
         self.loaded.is_some() && !robot.is_in_map_of_first(self.loaded_submaps)
     }
 
-    /// The file that the robot's maps are written to, or why they are not written. A robot that is lost leaves the file as it was, and so
-    /// does one in another map: a person decides whether the maps belong together.
-    fn target(&mut self, robot: &Robot) -> Result<PathBuf> {
+    /// Where the robot's maps are written, or why they are not written. A robot that is lost leaves the file as it was, and so does one in
+    /// another map: a person decides whether the maps belong together.
+    fn target(&mut self, robot: &Robot) -> Result<Target> {
         if let Some(why) = robot.whereabouts().lost() {
             bail!("{} stays as it was: {}", self.path.display(), lost_reason(why));
         }
         if !self.is_apart(robot) {
-            return Ok(self.path.clone());
+            return Ok(Target { path: self.path.clone(), previous: self.previous.take() });
         }
         let separate = self.separate.get_or_insert_with(|| free_name_beside(&self.path)).clone();
         tracing::warn!(
@@ -125,7 +129,7 @@ impl KeptMap {
             self.path.display(),
             separate.display()
         );
-        Ok(separate)
+        Ok(Target { path: separate, previous: None })
     }
 
     /// Compares the scanner with that of the loaded map, before the robot gets the scan.
@@ -147,7 +151,8 @@ impl KeptMap {
         }
     }
 
-    /// Replaces the file with the robot's map. A robot that never found itself in the loaded map, or that is lost at the end, leaves
+    /// Replaces the file with the robot's map, and keeps the one that the run began with as `home.previous.map`: maps that were joined
+    /// wrongly could not be separated again. A robot that never found itself in the loaded map, or that is lost at the end, leaves
     /// the file as it is; if it is in a map that it has begun meanwhile, both are written beside the file.
     ///
     /// # Errors
@@ -157,7 +162,7 @@ impl KeptMap {
         self.finish_writing();
         let about = About::now(self.scanner_height_m);
         match self.target(robot) {
-            Ok(path) => MapFile { about, state: robot.map_state() }.write(&path)?,
+            Ok(target) => target.write(&MapFile { about, state: robot.map_state() })?,
             Err(why) => tracing::warn!("{why}"),
         }
         Ok(())
@@ -172,14 +177,14 @@ impl KeptMap {
         if self.writing.as_ref().is_some_and(|writing| !writing.is_finished()) {
             bail!("the map is being written already");
         }
-        let path = self.target(robot)?;
+        let target = self.target(robot)?;
         let about = About::now(self.scanner_height_m);
         let file = MapFile { about, state: robot.map_state() };
         self.finish_writing();
         self.writing =
             Some(std::thread::Builder::new().name("map".to_owned()).spawn(move || {
-                if let Err(error) = file.write(&path) {
-                    tracing::error!("the map is not saved: {error}");
+                if let Err(error) = target.write(&file) {
+                    tracing::error!("the map is not saved: {error:#}");
                 }
             })?);
         Ok(())
@@ -190,6 +195,34 @@ impl KeptMap {
             let _ = writing.join();
         }
     }
+}
+
+/// A file to write.
+#[derive(Debug)]
+struct Target {
+    path: PathBuf,
+    /// Where what is in the file now stays.
+    previous: Option<PathBuf>,
+}
+
+impl Target {
+    fn write(&self, file: &MapFile) -> Result<()> {
+        if let Some(previous) = self.previous.as_ref().filter(|_| self.path.exists()) {
+            keep(&self.path, previous).with_context(|| {
+                format!("cannot keep {} as {}", self.path.display(), previous.display())
+            })?;
+        }
+        file.write(&self.path)
+    }
+}
+
+/// Gives a file a second name. The file is replaced and not changed afterwards, so the second name keeps what is in it now.
+fn keep(path: &Path, previous: &Path) -> std::io::Result<()> {
+    if previous.exists() {
+        std::fs::remove_file(previous)?;
+    }
+    // Not every file system has hard links.
+    std::fs::hard_link(path, previous).or_else(|_| std::fs::copy(path, previous).map(|_bytes| ()))
 }
 
 /// Where maps that have not met that of `path` are written: the first of `home.separate.map`, `home.separate-2.map` and so on that does not
@@ -224,5 +257,24 @@ mod tests {
         std::fs::write(&first, "").unwrap();
         assert_eq!(free_name_beside(&path), folder.path().join("home.separate-2.map"));
         assert_eq!(beside(Path::new("home"), ".separate"), Path::new("home.separate"));
+    }
+
+    #[test]
+    fn the_map_that_a_run_began_with_stays_beside_the_new_one_until_the_next_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("home.map");
+        let previous = folder.path().join("home.previous.map");
+        let map = |state: &str| MapFile { about: About::now(0.18), state: state.into() };
+        let write =
+            |state, previous| Target { path: path.clone(), previous }.write(&map(state)).unwrap();
+        let state = |path: &Path| MapFile::read(path).unwrap().state;
+        write("of Monday", Some(previous.clone()));
+        assert!(!previous.exists());
+        write("of Tuesday at noon", Some(previous.clone()));
+        write("of Tuesday", None);
+        assert_eq!(state(&path), b"of Tuesday");
+        assert_eq!(state(&previous), b"of Monday");
+        write("of Wednesday", Some(previous.clone()));
+        assert_eq!(state(&previous), b"of Tuesday");
     }
 }

@@ -40,11 +40,7 @@ impl Restarts {
     ///
     /// # Errors
     /// When a setting is out of range.
-    pub fn dense(
-        &mut self,
-        index: u64,
-        shot: &Shot<'_>,
-    ) -> Result<Option<Option<&DepthEstimate>>> {
+    pub fn dense(&mut self, index: u64, shot: &Shot<'_>) -> Result<Option<Option<&DepthEstimate>>> {
         let is_after_a_start = (index / self.every) % 2 == 1;
         if !is_after_a_start {
             return Ok(None);

@@ -146,6 +146,40 @@ fn perceive_computes_the_same_dense_depth_of_a_recording_as_the_robot_had() {
 }
 
 #[test]
+fn every_second_stretch_of_a_dump_is_dense_depth_of_a_robot_that_has_just_started() {
+    let dir = TempDir::new().unwrap();
+    let (_, run) =
+        explore(&dir, "run", &[&HOME[..], &["--depth", "truth", "--policy", "forward"]].concat());
+    let out = |name: &str| dir.path().join(name);
+    for (name, more) in [("whole", &[][..]), ("restarts", &["--restart-every", "10"][..])] {
+        let folder = out(name);
+        let dump = folder.join("dump");
+        let [run, folder, dump] = [&run, &folder, &dump].map(|path| path.to_str().unwrap());
+        let perceive = ["perceive", "--recording", run, "--out", folder, "--dump", dump];
+        assert!(firmware_host(&[&perceive[..], more].concat()).status.success());
+    }
+    let read = |name: &str, file: &str| std::fs::read(out(name).join("dump").join(file)).ok();
+    let is_same = |file: &str| read("whole", file) == read("restarts", file);
+    for frame in 0..60 {
+        assert!(is_same(&format!("{frame:06}.npy")), "coarse depth {frame}");
+        let has_memory = (frame / 10) % 2 == 0;
+        let dense = format!("{frame:06}_dense.npy");
+        assert!(is_same(&dense) || !has_memory, "dense depth {frame}");
+    }
+    for first in ["000030_dense.npy", "000050_dense.npy"] {
+        assert!(confidence(&read("restarts", first)) < confidence(&read("whole", first)));
+    }
+}
+
+/// Mean of the second plane of a dumped depth of 64x160 pixels.
+fn confidence(file: &Option<Vec<u8>>) -> f64 {
+    let file = file.as_ref().unwrap();
+    let plane = &file[file.len() - 2 * 64 * 160..];
+    let values = plane.chunks_exact(2).map(|two| f64::from(u16::from_le_bytes([two[0], two[1]])));
+    values.sum::<f64>() / (64.0 * 160.0)
+}
+
+#[test]
 fn onnx_runtime_sends_no_telemetry() {
     let dir = TempDir::new().unwrap();
     let home = dir.path().join("home");

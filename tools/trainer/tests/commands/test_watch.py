@@ -16,14 +16,15 @@ from embodied_depth_trainer.commands.watch import STATE_FILE, Watch, WatchSettin
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.export.provenance import Provenance
 from embodied_depth_trainer.files import write_atomically
-from embodied_depth_trainer.store.store import Store
+from embodied_depth_trainer.store.recipe import RESTART_EVERY
+from embodied_depth_trainer.store.store import Store, restarts_of
 from embodied_depth_trainer.store.version import remembered
 from embodied_depth_trainer.training import checkpoint as checkpoints
 
 from ..fake_robot import walk, wheels
 from ..recordings import write_segment
 from ..signing import KITCHEN, ROBOTS, sign
-from ..stores import calls
+from ..stores import calls, store_of
 
 
 def pull(folder: Path, run: str, segment: int, count: int = 12) -> None:
@@ -76,6 +77,17 @@ def test_a_watch_that_began_with_random_weights_stays_with_them(settings: WatchS
     watch(replace(settings, rounds=2))
     saved = checkpoints.load(settings.work / "training/checkpoint.pt")
     assert (saved.settings["init"], saved.step) == (None, 4)
+
+
+def test_a_watch_that_an_earlier_version_began_keeps_its_store(settings: WatchSettings, robot: Path) -> None:
+    pull(settings.pulled, "robot/monday", 0)
+    store_of(settings.pulled, settings.work / "store", robot)
+    (network,) = watch(settings)
+    assert network.exists()
+    assert restarts_of(settings.work / "store") is None
+    begun_now = replace(settings, work=settings.work.with_name("new"))
+    watch(begun_now)
+    assert restarts_of(begun_now.work / "store") == RESTART_EVERY
 
 
 def test_completed_rounds_are_not_repeated(settings: WatchSettings) -> None:

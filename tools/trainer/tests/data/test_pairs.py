@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from embodied_depth_trainer.data.dataset import find_pairs
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.pairs import PairRule, pairs_by_baseline, pairs_by_gap
 from embodied_depth_trainer.errors import TrainerError
@@ -41,6 +42,17 @@ def test_baselines_within_the_rule_are_pairs_and_others_are_not() -> None:
 def test_standing_still_and_rotating_on_the_spot_give_no_pairs() -> None:
     with pytest.raises(TrainerError, match="none of 4 frames has a source"):
         sources(frames_at([0.0] * 4, [0.0, 0.1, 0.2, 0.3]))
+
+
+def test_a_loss_that_needs_no_sources_is_trained_on_rotations_too() -> None:
+    frames = replace(frames_at([0.0] * 4, [0.0, 0.1, 0.2, 0.3]), held_out=np.array([False, True, False, False]))
+    pairs, held = find_pairs(frames, None, PairRule(), needs_sources=False)
+    assert (pairs.targets.tolist(), held.targets.tolist()) == ([0, 2, 3], [1])
+    targets, sources_of_targets = pairs.sample(8, np.random.default_rng(1))
+    assert set(targets.tolist()) <= {0, 2, 3}
+    assert sources_of_targets.shape == (8, 0)
+    with pytest.raises(TrainerError, match="all of 4 frames are held out"):
+        find_pairs(replace(frames, held_out=np.ones(4, np.bool_)), None, PairRule(), needs_sources=False)
 
 
 def test_a_frame_that_looks_elsewhere_is_not_a_source() -> None:

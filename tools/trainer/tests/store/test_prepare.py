@@ -88,6 +88,27 @@ def test_what_exists_is_not_made_again(walk: Frames, tmp_path: Path, robot: Path
     assert {name: after[name] for name in before} == before
 
 
+def test_the_robots_program_is_asked_for_restarts_and_a_store_keeps_its_recipe(
+    walk: Frames, tmp_path: Path, robot: Path
+) -> None:
+    record(tmp_path / "run", walk, [24])
+    command = ["prepare", str(tmp_path / "run"), "--firmware-host", str(robot), "--out"]
+    assert main([*command, str(tmp_path / "restarts")]) == 0
+    assert main([*command, str(tmp_path / "memory"), "--restart-every", "0"]) == 0
+    first, second = robot.with_name("firmware-host.calls").read_text().splitlines()
+    assert "--restart-every 10" in first
+    assert "--restart-every" not in second
+    # Stores that were made before restarts existed keep the names of their shards.
+    assert "restart_every" not in Store(tmp_path / "memory").recipe
+    assert Store(tmp_path / "memory").recipe_digest == tools(robot).recipe.digest
+    for folder, recipe in (
+        ("restarts", tools(robot).recipe),
+        ("memory", replace(tools(robot).recipe, restart_every=10)),
+    ):
+        with pytest.raises(TrainerError, match="restart_every"):
+            Store.create(tmp_path / folder, recipe)
+
+
 def test_a_moved_recording_costs_reading_but_no_computing(walk: Frames, tmp_path: Path, robot: Path) -> None:
     record(tmp_path / "run", walk, [24])
     store = store_of(tmp_path / "run", tmp_path / "store", robot)

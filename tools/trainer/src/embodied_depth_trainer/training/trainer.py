@@ -179,7 +179,8 @@ class Trainer:
             drawn = VolumeAugmentation.none() if augment is None else VolumeAugmentation.draw(len(targets), augment)
             batch = self._with_volume(batch, drawn.of(mine))
         width = self.settings.crop_width
-        if width:
+        # Narrower images are used whole.
+        if 0 < width < self.frames.camera.width:
             places = (self.frames.camera.width - width) // SIZE_STEP + 1
             batch = batch.cropped(SIZE_STEP * int(random.integers(places)), width)
         return batch
