@@ -10,6 +10,7 @@ import onnxruntime
 import pytest
 import torch
 
+from embodied_depth_trainer.data.held_out import only_held_out
 from embodied_depth_trainer.data.pairs import PairRule, pairs_by_baseline
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.export.depth import export_checkpoint
@@ -20,6 +21,7 @@ from embodied_depth_trainer.training import checkpoint as checkpoints
 from embodied_depth_trainer.training.initial import given_depth
 from embodied_depth_trainer.training.settings import Settings
 from embodied_depth_trainer.training.trainer import Trainer
+from embodied_depth_trainer.training.validation import Validation
 
 from ..rooms import room
 
@@ -36,6 +38,17 @@ def test_a_training_on_dense_depth_gives_it_whole_and_keeps_images_augmented() -
     batch = trainer().batch(0)
     assert (batch.coarse[:, 1] == 1).all()
     assert torch.equal(batch.coarse, batch.coarse_full)
+
+
+def test_validation_says_how_often_dense_depth_is_right_where_coarse_depth_is_missing() -> None:
+    frames = room(12)
+    assert frames.truth_mm is not None
+    truth = frames.truth_mm[:, 2::4, 2::4]
+    frames = dataclasses.replace(frames, labels=np.stack([truth, np.full_like(truth, 65535)], 1))
+    training = Trainer(frames, pairs_by_baseline(frames, PairRule()), dataclasses.replace(DENSE, label_weight=1.0))
+    held = dataclasses.replace(frames, held_out=np.ones(12, np.bool_))
+    measured = Validation(only_held_out(held, pairs_by_baseline(frames, PairRule()), 4)).measure(training)
+    assert 0 <= measured.right_in_holes < measured.right
 
 
 def test_frames_without_dense_depth_are_refused_with_the_way_out() -> None:

@@ -103,6 +103,8 @@ class Trainer:
             raise TrainerError(
                 "--lidar-weight needs LiDAR scans, which only recordings have; give --store instead of --dataset"
             )
+        self.recorded = frames
+        """The frames with coarse depth, whatever the network is given."""
         frames = giving(frames, settings.given_depth)
         self.frames = frames
         self.pairs = pairs

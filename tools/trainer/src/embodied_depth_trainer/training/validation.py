@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from embodied_depth_trainer.data.batches import Batch, to_depth
+from embodied_depth_trainer.data.batches import Batch, coarse_planes, to_depth
 from embodied_depth_trainer.data.pairs import Pairs
 from embodied_depth_trainer.losses.depth_supervision import LN_TOLERANCE, at_cell_centres
 from embodied_depth_trainer.networks.registry import takes_coarse
@@ -39,7 +39,8 @@ class Measured:
     right: float
     """Share of the labelled cells whose depth is within 25 % of the label."""
     right_in_holes: float
-    """The same where the network's input had no coarse depth; NaN if there is none, or no such input."""
+    """The same where there is no coarse depth, or where the network was not given what there is; NaN if there is no
+    such cell, or the network is given no depth."""
 
     @property
     def loss(self) -> float:
@@ -134,11 +135,10 @@ class Validation:
 
 
 def _right(trainer: Trainer, batch: Batch) -> NDArray[np.float64]:
-    """[2, 2]: right and all cells with a label, of these right and all without coarse depth in the input."""
+    """[2, 2]: right and all cells with a label, of these right and all without coarse depth."""
     disparity, _ = trainer.predict(batch.augmented, batch.coarse)
     depth_m = to_depth(disparity, trainer.settings.depth_range_m)
-    holes = takes_coarse(trainer.network)
-    missing = batch.coarse[:, 1:2] == 0 if holes else torch.zeros_like(depth_m, dtype=torch.bool)
+    missing = _missing(trainer, batch)
     if batch.labels is not None:
         label_m = batch.labels[:, :1]
         depth_m, missing = at_cell_centres(depth_m, batch.labels), at_cell_centres(missing, batch.labels)
@@ -152,3 +152,14 @@ def _right(trainer: Trainer, batch: Batch) -> NDArray[np.float64]:
         return [float((right & where).sum()), float(where.sum())]
 
     return np.array([count(labelled), count(labelled & missing)])
+
+
+def _missing(trainer: Trainer, batch: Batch) -> Tensor:
+    """Where coarse depth is missing [B, 1, H, W]; dense depth has a value everywhere and does not say."""
+    if not takes_coarse(trainer.network):
+        return torch.zeros_like(batch.image[:, :1], dtype=torch.bool)
+    coarse = batch.coarse
+    if trainer.settings.given_depth == "dense":
+        coarse = coarse_planes(trainer.recorded, batch.targets, trainer.settings.depth_range_m, trainer.device)
+    missing: Tensor = coarse[:, 1:2] == 0
+    return missing
