@@ -10,7 +10,7 @@ use anyhow::{Result, bail};
 use hal::ImageView;
 use runtime::accuracy::{Accuracy, ConstantBaseline};
 use runtime::event::Event;
-use runtime::perception::DepthNetwork;
+use runtime::perception::{DepthNetwork, GivenDepth};
 
 use crate::cli::PerceiveArgs;
 use crate::dataset::Dataset;
@@ -177,7 +177,13 @@ impl Evaluator {
         if let Some(network) = &mut self.network {
             let given = self.depth.given(network.spec().given);
             match network.estimate(frame, &sample.t_world_camera, given) {
-                Ok(estimate) => refined = Some(estimate),
+                Ok(_) => {
+                    if let Some(dense) = dense.filter(|_| network.spec().given == GivenDepth::Dense)
+                    {
+                        network.join(dense);
+                    }
+                    refined = Some(network.last());
+                }
                 Err(why) => self.events.add(&Event::NoDepth { why }),
             }
             self.stopwatch.lap(Stage::Network);

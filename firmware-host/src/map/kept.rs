@@ -212,7 +212,7 @@ impl Target {
                 format!("cannot keep {} as {}", self.path.display(), previous.display())
             })?;
         }
-        file.write(&self.path)
+        Ok(file.write(&self.path)?)
     }
 }
 

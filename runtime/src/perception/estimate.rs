@@ -7,6 +7,9 @@ use serde::{Deserialize, Serialize};
 /// holds assumed walls and floor. One of them would clear a table top that was not seen, or hide stairs.
 pub(super) const UNCONFIRMED: f32 = 0.75;
 
+/// Two depths within this ratio agree, as a depth is right within it of the truth (delta1).
+const AGREEING: f32 = 1.25;
+
 /// Depth and its confidence for every pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthEstimate {
@@ -45,6 +48,30 @@ impl DepthEstimate {
             if *depth == 0.0 {
                 *own = own.min(UNCONFIRMED);
             }
+        }
+    }
+
+    /// Joins the depth of `other`, an estimate of the same frame and size: in every pixel the more probable of both stays. Where
+    /// they agree within 25 %, it has the mean of their probabilities, since one was made with the other. Where they do not,
+    /// at most one is right, which leaves the better with a probability of p (1 - q) / (1 - p q).
+    pub fn join(&mut self, other: &Self) {
+        let own = self.depth.values_mut().iter_mut().zip(&mut self.confidence);
+        let others = other.depth.values().iter().zip(&other.confidence);
+        for ((depth, confidence), (other_depth, other_confidence)) in own.zip(others) {
+            if *other_depth <= 0.0 {
+                continue;
+            }
+            let ratio = depth.max(*other_depth) / depth.min(*other_depth);
+            let better = confidence.max(*other_confidence);
+            let worse = confidence.min(*other_confidence);
+            if other_confidence > confidence {
+                *depth = *other_depth;
+            }
+            *confidence = if ratio < AGREEING {
+                0.5 * (better + worse)
+            } else {
+                better * (1.0 - worse) / (1.0 - better * worse).max(f32::EPSILON)
+            };
         }
     }
 
@@ -93,5 +120,43 @@ impl NoDepth {
     #[must_use]
     pub fn has_image(self) -> bool {
         matches!(self, Self::FirstFrame | Self::TooLittleParallax)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Joins two pixels, each with depth and confidence.
+    fn joined(own: (f32, f32), other: (f32, f32)) -> (f32, f32) {
+        let [mut own, other] = [own, other].map(|(depth_m, confidence)| DepthEstimate {
+            depth: DepthMap::from_vec(1, 1, vec![depth_m]).unwrap(),
+            confidence: vec![confidence],
+        });
+        own.join(&other);
+        (own.depth.values()[0], own.confidence[0])
+    }
+
+    #[test]
+    fn two_depths_that_agree_have_the_mean_of_their_probabilities() {
+        assert_eq!(joined((2.0, 0.75), (2.2, 0.25)), (2.0, 0.5));
+        assert_eq!(joined((2.2, 0.25), (2.0, 0.75)), (2.0, 0.5));
+    }
+
+    #[test]
+    fn of_two_that_disagree_the_more_probable_stays_and_is_less_probable_than_before() {
+        // 0.8 * 0.5 / (1 - 0.4).
+        let (depth_m, confidence) = joined((2.0, 0.5), (3.0, 0.8));
+        assert_eq!(depth_m, 3.0);
+        assert!((confidence - 2.0 / 3.0).abs() < 1e-6, "{confidence}");
+        assert_eq!(joined((3.0, 0.8), (2.0, 0.5)), (depth_m, confidence));
+        assert_eq!(joined((3.0, 1.0), (2.0, 1.0)).1, 0.0, "both are certain, and one is wrong");
+    }
+
+    #[test]
+    fn a_depth_that_is_missing_joins_nothing() {
+        assert_eq!(joined((2.0, 0.6), (0.0, 0.0)), (2.0, 0.6));
+        assert_eq!(joined((0.0, 0.0), (3.0, 0.9)), (3.0, 0.9));
+        assert_eq!(joined((0.0, 0.0), (0.0, 0.0)), (0.0, 0.0));
     }
 }

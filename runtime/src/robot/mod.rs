@@ -428,7 +428,10 @@ impl Robot {
                 GivenDepth::Dense => self.has_depth.dense.then(|| self.dense.last()),
             };
             let result = network.estimate(frame, t_odom_camera, given).map(|_| ());
-            if network.spec().given == GivenDepth::Dense {
+            if network.spec().given == GivenDepth::Dense && result.is_ok() {
+                if self.has_depth.dense {
+                    network.join(self.dense.last());
+                }
                 network.doubt_unseen(self.has_depth.coarse.then(|| self.coarse.last()));
             }
             timer.ended(Stage::Network);

@@ -59,6 +59,13 @@ impl Engine for Refined {
         if !evaluated {
             return Ok(None);
         }
-        Ok(self.network.estimate(frame, pose, given.as_ref()).ok().cloned())
+        if self.network.estimate(frame, pose, given.as_ref()).is_err() {
+            return Ok(None);
+        }
+        if let (Input::Dense, Some(dense)) = (self.input, &given) {
+            // As on the robot.
+            self.network.join(dense);
+        }
+        Ok(Some(self.network.last().clone()))
     }
 }

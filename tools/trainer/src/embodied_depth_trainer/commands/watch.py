@@ -39,6 +39,7 @@ from embodied_depth_trainer.store.prepare import Tools, prepare
 from embodied_depth_trainer.store.recipe import RESTART_EVERY, Recipe, engine_of
 from embodied_depth_trainer.store.store import Store, is_store, restarts_of
 from embodied_depth_trainer.studies.robot import find_firmware_host
+from embodied_depth_trainer.training import checkpoint as checkpoints
 from embodied_depth_trainer.training.initial import SHIPPED, SHIPPED_NAME, chosen, given_depth
 from embodied_depth_trainer.training.progress import VALIDATIONS, Progress, draw
 from embodied_depth_trainer.training.settings import Settings
@@ -162,10 +163,20 @@ def _round(watched: Watch, number: int) -> Path:
 def _training(settings: WatchSettings) -> Settings:
     """The settings of the training: those of the default network if it begins with random weights."""
     init = _initial(settings)
+    training = _as_begun(settings)
     if init is None:
-        return settings.training
+        return training
     given = given_depth(init)
-    return replace(settings.training, init=init, given_depth=given, learning_rate=GOING_ON, cycle=settings.steps)
+    return replace(training, init=init, given_depth=given, learning_rate=GOING_ON, cycle=settings.steps)
+
+
+def _as_begun(settings: WatchSettings) -> Settings:
+    """The settings of this version, with those of the losses and the augmentation that the watch began with."""
+    file = settings.work / "training" / CHECKPOINT_FILE
+    if not file.exists():
+        return settings.training
+    begun = checkpoints.load(file).settings
+    return replace(settings.training, coarse_weight=begun["coarse_weight"], color_change=begun.get("color_change"))
 
 
 def _initial(settings: WatchSettings) -> str | None:

@@ -20,6 +20,8 @@ COLOR_CHANGE = 0.2
 HUE_CHANGE = 0.1
 # Probabilities that the colours of a sample are jittered, that all its coarse depth is dropped, or a rectangle of it.
 COLOR_PROBABILITY = 0.5
+# That the colours of a sample are changed if they are changed by more than in the paper's code.
+STRONG_COLOR_PROBABILITY = 0.8
 NO_COARSE_PROBABILITY = 0.15
 HOLE_PROBABILITY = 0.35
 # All samples of a batch.
@@ -133,14 +135,15 @@ def make_batch(
     random: np.random.Generator | None,
     device: torch.device | str = "cpu",
     mine: slice = ALL,
+    color_change: float | None = None,
 ) -> Batch:
     """Builds the batch of `targets` [B] and `sources` [B, S]; augments it when `random` is given.
 
     Only the samples `mine` are read: the share of one process. Random numbers are drawn for all samples, so that a
-    sample is the same in any number of processes.
+    sample is the same in any number of processes. `color_change` is that of `ColorChanges.draw`.
     """
     shape = torch.Size((len(targets), 1, frames.camera.height, frames.camera.width))
-    colors = ColorChanges.draw(len(targets), random) if random is not None else None
+    colors = ColorChanges.draw(len(targets), random, color_change) if random is not None else None
     kept = coarse_dropout_mask(shape, random) if random is not None and frames.coarse is not None else None
     targets = targets[mine]
     sources = sources[mine]
@@ -175,12 +178,15 @@ class ColorChanges:
     """Of the colours [B, 3, 3]."""
 
     @staticmethod
-    def draw(batch: int, random: np.random.Generator) -> ColorChanges:
-        changed = random.random(batch) < COLOR_PROBABILITY
-        brightness, contrast, saturation = (
-            random.uniform(1 - COLOR_CHANGE, 1 + COLOR_CHANGE, (3, batch)) * changed + ~changed
-        )
-        angle = random.uniform(-HUE_CHANGE, HUE_CHANGE, batch) * changed * 2 * np.pi
+    def draw(batch: int, random: np.random.Generator, color_change: float | None = None) -> ColorChanges:
+        """With `color_change`, most images change, brightness, contrast and saturation by up to this share, and hue by
+        up to this share of a full circle. Without it, half of them as in the paper's code."""
+        probability = COLOR_PROBABILITY if color_change is None else STRONG_COLOR_PROBABILITY
+        change = COLOR_CHANGE if color_change is None else color_change
+        hue_change = HUE_CHANGE if color_change is None else color_change
+        changed = random.random(batch) < probability
+        brightness, contrast, saturation = random.uniform(1 - change, 1 + change, (3, batch)) * changed + ~changed
+        angle = random.uniform(-hue_change, hue_change, batch) * changed * 2 * np.pi
         # In YIQ (luma and two chroma axes), a hue shift is a rotation and saturation a scale.
         to_yiq = np.array([[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]])
         rotation = np.zeros((batch, 3, 3))

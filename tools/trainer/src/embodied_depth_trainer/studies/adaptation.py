@@ -20,6 +20,7 @@ from mcap.reader import make_reader
 from embodied_depth_trainer.data.messages import IMAGE, segments
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.networks.runtime import OnnxNetwork
+from embodied_depth_trainer.studies.evaluation import JOINED
 from embodied_depth_trainer.studies.plots import save
 from embodied_depth_trainer.studies.views import Rows, Views
 
@@ -100,13 +101,13 @@ def as_table(curve: Sequence[dict[str, Any]]) -> str:
         without = ", ".join(
             f"{name} {rows[name]['right']:.3f}" for name in ("constant", "coarse", "dense") if name in rows
         )
-        lines += [f"{title} ({without}):", "", "| minutes driven | training steps | network, right of all pixels |"]
-        lines += ["|---|---|---|"]
-        lines += [
-            f"| {point['frames'] / FRAMES_PER_MINUTE:.0f} | {point['steps']} | "
-            f"{point['metrics'][part][NETWORK]['right']:.3f} |"
-            for point in curve
-        ]
+        names = [name for name in (NETWORK, NETWORK + JOINED) if name in rows]
+        lines += [f"Right of all pixels, {title} ({without}):", ""]
+        lines += [f"| minutes driven | training steps | {' | '.join(names)} |", "|---|---|" + "---|" * len(names)]
+        for point in curve:
+            found = point["metrics"][part]
+            cells = [f"{point['frames'] / FRAMES_PER_MINUTE:.1f}", str(point["steps"])]
+            lines.append(" | ".join(["", *cells, *(f"{found[name]['right']:.3f}" for name in names), ""]).strip())
         lines.append("")
     return "\n".join(lines)
 
@@ -119,7 +120,9 @@ def draw(curve: Sequence[dict[str, Any]], title: str, file: Path) -> None:
     minutes = [point["frames"] / FRAMES_PER_MINUTE for point in curve]
     for axis, part in zip(axes[0], parts, strict=True):
         rows = [point["metrics"][part] for point in curve]
-        axis.plot(minutes, [row[NETWORK]["right"] for row in rows], "o-", label="network")
+        for name in (NETWORK + JOINED, NETWORK):
+            if name in rows[0]:
+                axis.plot(minutes, [row[name]["right"] for row in rows], "o-", label=name)
         for name, style in (("dense", "--"), ("coarse", "-."), ("constant", ":")):
             if name in rows[0]:
                 axis.axhline(rows[0][name]["right"], linestyle=style, color="grey", label=LABELS[name])

@@ -19,7 +19,7 @@ from torch import nn
 from embodied_depth_trainer.data.batches import FULL_CONFIDENCE, rgb_planes, to_depth
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.errors import TrainerError
-from embodied_depth_trainer.networks.inputs import second_input
+from embodied_depth_trainer.networks.inputs import given_depth_of, second_input
 from embodied_depth_trainer.networks.registry import output_of
 from embodied_depth_trainer.studies.baselines import fill_nearest
 
@@ -31,6 +31,10 @@ MAPPED_CONFIDENCE = 0.8
 CONFIDENT = ", mapped"
 # Suffix of a network's rows on the pixels that have coarse depth.
 REFINED = ", where coarse is"
+# Suffix of the rows of a network that is given dense depth, joined with it as the robot does.
+JOINED = ", joined with dense"
+# Ratio up to which two depths agree.
+AGREEING = 1.25
 # The row of coarse depth whose holes have the depth of the nearest pixel.
 FILLED = "coarse, holes filled"
 # Bins of the probability that depth is correct.
@@ -91,8 +95,8 @@ def _errors(depth: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[flo
 
 def evaluate(frames: Frames, networks: dict[str, nn.Module], depth_range_m: tuple[float, float]) -> dict[str, Metrics]:
     """Mean metrics of the constant (each image's median of the truth), of coarse depth as it is and with its holes
-    filled, of dense depth, and of every network: on all pixels, on those whose confidence suffices for the map, and on
-    those that have coarse depth."""
+    filled, of dense depth, and of every network: on all pixels, on those whose confidence suffices for the map, on
+    those that have coarse depth, and joined with dense depth if it was given that."""
     if frames.truth_mm is None:
         raise TrainerError(
             "the frames have no ground truth; record with `firmware-host explore --depth truth`, "
@@ -113,14 +117,18 @@ def evaluate(frames: Frames, networks: dict[str, nn.Module], depth_range_m: tupl
             reliabilities.setdefault("coarse", _Reliability()).add(depths["coarse"], predicted, truth)
         if frames.dense is not None:
             depths["dense"] = frames.dense[index, 0].astype(np.float32) / 1000
-            predicted = frames.dense[index, 1].astype(np.float32) / FULL_CONFIDENCE
-            reliabilities.setdefault("dense", _Reliability()).add(depths["dense"], predicted, truth)
+            dense_confidence = frames.dense[index, 1].astype(np.float32) / FULL_CONFIDENCE
+            reliabilities.setdefault("dense", _Reliability()).add(depths["dense"], dense_confidence, truth)
         for name, network in networks.items():
             depth, confidence = predict(network, frames, index, depth_range_m)
             depths[name] = depth
             if confidence is not None:
                 depths[name + CONFIDENT] = np.where(confidence >= MAPPED_CONFIDENCE, depth, 0)
                 reliabilities.setdefault(name, _Reliability()).add(depth, confidence, truth)
+                if "dense" in depths and given_depth_of(network) == "dense":
+                    joint, sure = joined((depth, confidence), (depths["dense"], dense_confidence))
+                    depths[name + JOINED] = joint
+                    reliabilities.setdefault(name + JOINED, _Reliability()).add(joint, sure, truth)
             if "coarse" in depths:
                 depths[name + REFINED] = np.where(depths["coarse"] > 0, depth, 0)
         for name, batch in depths.items():
@@ -131,6 +139,23 @@ def evaluate(frames: Frames, networks: dict[str, nn.Module], depth_range_m: tupl
         name: replace(mean, reliability=reliabilities[name].bins()) if name in reliabilities else mean
         for name, mean in means.items()
     }
+
+
+Estimate = tuple[NDArray[np.float32], NDArray[np.float32]]
+"""Depth in metres, 0 where there is none, and the probability that it is right."""
+
+
+def joined(own: Estimate, other: Estimate) -> Estimate:
+    """Two estimates of the same images as the robot joins them (`DepthEstimate::join` in the runtime): the more
+    probable depth stays. Where both agree, it has the mean of their probabilities, elsewhere a lower one."""
+    (depth, confidence), (other_depth, other_confidence) = own, other
+    better = np.maximum(confidence, other_confidence)
+    worse = np.minimum(confidence, other_confidence)
+    agree = np.maximum(depth, other_depth) < AGREEING * np.minimum(depth, other_depth)
+    alone = better * (1 - worse) / np.maximum(1 - better * worse, np.finfo(np.float32).eps)
+    missing = other_depth <= 0
+    joint = np.where(~missing & (other_confidence > confidence), other_depth, depth)
+    return joint, np.where(missing, confidence, np.where(agree, (better + worse) / 2, alone)).astype(np.float32)
 
 
 class _Reliability:

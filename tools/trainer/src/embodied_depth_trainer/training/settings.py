@@ -22,8 +22,11 @@ class Settings:
     learning_rate: float = 1e-4
     depth_range_m: tuple[float, float] = (0.1, 20.0)
     augment: bool = True
+    color_change: float | None = None
+    """Largest change of colours in the augmentation, see `ColorChanges`; `None`: that of the paper's code."""
     coarse_weight: float = 0.1
-    """Weight of the agreement with confident coarse depth; see `coarse_error`. 0: photometric only, as in the paper."""
+    """Weight of the agreement with the confident depth that the network is given; see `coarse_error`. 0: photometric
+    only, as in the paper."""
     label_weight: float = 0.0
     """Weight of the agreement with labels; see `label_error`."""
     lidar_weight: float = 0.0

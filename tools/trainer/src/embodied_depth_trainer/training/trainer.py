@@ -173,7 +173,8 @@ class Trainer:
         targets, sources = self.pairs.sample(self.settings.batch, random)
         augment = random if self.settings.augment else None
         range_m = self.settings.depth_range_m
-        batch = make_batch(self.frames, targets, sources, range_m, augment, self.device, mine)
+        change = self.settings.color_change
+        batch = make_batch(self.frames, targets, sources, range_m, augment, self.device, mine, change)
         if self.settings.given_depth == "dense":
             # It has no holes that the network would have to learn to fill.
             batch = replace(batch, coarse=batch.coarse_full)
