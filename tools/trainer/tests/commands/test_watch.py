@@ -90,6 +90,17 @@ def test_a_watch_that_an_earlier_version_began_keeps_its_store(settings: WatchSe
     assert restarts_of(begun_now.work / "store") == RESTART_EVERY
 
 
+def test_a_watch_goes_on_with_the_losses_that_an_earlier_version_began_with(settings: WatchSettings) -> None:
+    pull(settings.pulled, "robot/monday", 0)
+    before = replace(settings.training, coarse_weight=0.0, color_change=None)
+    watch(replace(settings, training=before))
+    pull(settings.pulled, "robot/monday", 1)
+    assert settings.training.coarse_weight > 0
+    watch(replace(settings, rounds=2))
+    saved = checkpoints.load(settings.work / "training/checkpoint.pt")
+    assert (saved.step, saved.settings["coarse_weight"], saved.settings["color_change"]) == (4, 0.0, None)
+
+
 def test_completed_rounds_are_not_repeated(settings: WatchSettings) -> None:
     pull(settings.pulled, "robot/monday", 0)
     watch(settings)

@@ -9,6 +9,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from embodied_depth_trainer.data.batches import ColorChanges
 from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.data.labels import labels
 from embodied_depth_trainer.data.pairs import PairRule, pairs_by_baseline
@@ -77,3 +78,11 @@ def test_a_process_reads_no_image_of_the_others(walk: Frames) -> None:
     images.read = 0
     learner.part_of_batch(0, slice(1, None, 3))
     assert 3 * images.read == everything
+
+
+def test_stronger_changes_of_colours_change_more_images_by_more() -> None:
+    usual = ColorChanges.draw(1000, np.random.default_rng(1))
+    strong = ColorChanges.draw(1000, np.random.default_rng(1), 0.5)
+    shares = [float(np.mean(np.abs(changes.matrix - np.eye(3)).max((1, 2)) > 1e-6)) for changes in (usual, strong)]
+    assert shares == pytest.approx([0.5, 0.8], abs=0.05)
+    assert np.abs(strong.level).max() > 2 * np.abs(usual.level).max()

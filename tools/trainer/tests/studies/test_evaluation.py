@@ -18,7 +18,7 @@ from embodied_depth_trainer.export.depth import DepthExport, export_depth
 from embodied_depth_trainer.networks.registry import build_network
 from embodied_depth_trainer.networks.runtime import OnnxNetwork
 from embodied_depth_trainer.studies.baselines import fill_nearest
-from embodied_depth_trainer.studies.evaluation import evaluate, metrics, table
+from embodied_depth_trainer.studies.evaluation import evaluate, joined, metrics, table
 from embodied_depth_trainer.training.initial import SHIPPED
 
 from ..recordings import dump_of, straight, write_segment
@@ -48,6 +48,15 @@ def test_no_depth_counts_as_wrong_among_all_pixels() -> None:
     found = metrics(row(2, 3, 0, 0), row(2, 2, 2, 2))
     assert found is not None
     assert (found.delta1_unscaled, found.right) == (0.5, 0.25)
+
+
+def test_estimates_are_joined_as_the_robot_joins_them() -> None:
+    # The cases of the runtime's `estimate.rs`: agreement twice, disagreement twice, missing depth three times.
+    own = row(2.0, 2.2, 2.0, 3.0, 2.0, 0.0, 0.0), row(0.75, 0.25, 0.5, 0.8, 0.6, 0.0, 0.0)
+    other = row(2.2, 2.0, 3.0, 2.0, 0.0, 3.0, 0.0), row(0.25, 0.75, 0.8, 0.5, 0.0, 0.9, 0.0)
+    depth, confidence = joined(own, other)
+    assert depth[0].tolist() == pytest.approx([2.0, 2.0, 3.0, 3.0, 2.0, 3.0, 0.0])
+    assert confidence[0].tolist() == pytest.approx([0.5, 0.5, 2 / 3, 2 / 3, 0.6, 0.9, 0.0])
 
 
 class ConstantPrediction(nn.Module):

@@ -71,6 +71,8 @@ def test_an_exported_network_says_what_it_is_given_and_is_evaluated_with_it(tmp_
     rows = evaluate(frames, {"network": network}, RANGE_M)
     assert rows["network"].right == pytest.approx(rows["dense"].right, abs=0.02)
     assert rows["network"].right > rows["coarse"].right
+    # Joined with what it returns unchanged, it is as right as before.
+    assert rows["network, joined with dense"].right == pytest.approx(rows["network"].right, abs=0.02)
 
 
 def test_a_network_on_coarse_depth_says_so(tmp_path: Path) -> None:
