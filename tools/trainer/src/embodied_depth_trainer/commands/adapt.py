@@ -143,6 +143,6 @@ def run_adapt(options: argparse.Namespace) -> None:
         device=pick_device(options.device),
     )
     curve = adapt(settings, options.out, robot, watching)
-    draw(curve, settings.scene, options.out / "curve.png")
+    draw(curve, Path(settings.scene).name, options.out / "curve.png")
     print(as_table(curve))
     _say(f"{options.out / RESULT_FILE}; see curve.png beside it")

@@ -8,6 +8,7 @@ on the same recording.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,6 +32,10 @@ NETWORK = "network"
 FRAMES_PER_MINUTE = 600
 PARTS = {"all": "all views", "drive": "after driving", "turn": "after a rotation on the spot"}
 
+# Lines of what needs no network.
+STYLES = {"dense": "--", "coarse": "-.", "constant": ":"}
+# Least share of the pixels with coarse depth for its line to be drawn.
+MOSTLY = 0.5
 LABELS = {
     "dense": "dense depth, without a network",
     "coarse": "coarse depth",
@@ -112,23 +117,31 @@ def as_table(curve: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def _shown(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """The rows that are drawn. Coarse depth is left out where it covers nothing or little."""
+    names = (NETWORK, NETWORK + JOINED, *STYLES)
+    return {name: rows[name] for name in names if name in rows and (name != "coarse" or rows[name]["share"] > MOSTLY)}
+
+
 def draw(curve: Sequence[dict[str, Any]], title: str, file: Path) -> None:
     """Draws the share of all pixels that are right against the minutes driven, for each kind of views."""
     parts = [part for part in PARTS if part in curve[0]["metrics"]]
     figure = Figure((4.6 * len(parts), 3.8), layout="constrained")
     axes = figure.subplots(1, len(parts), squeeze=False, sharey=True)
     minutes = [point["frames"] / FRAMES_PER_MINUTE for point in curve]
+    shown = [row["right"] for point in curve for part in parts for row in _shown(point["metrics"][part]).values()]
+    lowest = math.floor(10 * min(shown)) / 10
     for axis, part in zip(axes[0], parts, strict=True):
         rows = [point["metrics"][part] for point in curve]
         for name in (NETWORK + JOINED, NETWORK):
             if name in rows[0]:
                 axis.plot(minutes, [row[name]["right"] for row in rows], "o-", label=name)
-        for name, style in (("dense", "--"), ("coarse", "-."), ("constant", ":")):
-            if name in rows[0]:
+        for name, style in STYLES.items():
+            if name in _shown(rows[0]):
                 axis.axhline(rows[0][name]["right"], linestyle=style, color="grey", label=LABELS[name])
-        axis.set(title=PARTS[part], xlabel="minutes driven", ylim=(0, 1))
+        axis.set(title=PARTS[part], xlabel="minutes driven", ylim=(lowest, 1))
         axis.grid(alpha=0.3)
     axes[0][0].set_ylabel("share of all pixels within 25 %")
-    axes[0][0].legend(loc="lower right", fontsize=8)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8)
     figure.suptitle(f"{title} (simulated)", fontsize=10)
     save(figure, file)
