@@ -10,7 +10,7 @@ use anyhow::{Result, bail};
 use hal::ImageView;
 use runtime::accuracy::{Accuracy, ConstantBaseline};
 use runtime::event::Event;
-use runtime::perception::{DepthNetwork, GivenDepth};
+use runtime::perception::{DepthEstimate, DepthNetwork, GivenDepth};
 
 use crate::cli::PerceiveArgs;
 use crate::dataset::Dataset;
@@ -52,6 +52,7 @@ pub fn run(args: &PerceiveArgs) -> Result<()> {
         depth: FrameDepth::new(&config.coarse, &config.dense, camera, mount.as_ref())?,
         restarts: args.restart_every.map(|every| Restarts::new(every, config, camera, mount)),
         network,
+        joined: DepthEstimate::none(camera.width, camera.height),
         coarse_accuracy: Accuracy::new(),
         dense_accuracy: Accuracy::new(),
         network_accuracy: Accuracy::new(),
@@ -138,6 +139,8 @@ struct Evaluator {
     /// What a robot knows that has just started, for the dump.
     restarts: Option<Restarts>,
     network: Option<DepthNetwork>,
+    /// The network's depth, joined with dense depth if it was given that.
+    joined: DepthEstimate,
     coarse_accuracy: Accuracy,
     dense_accuracy: Accuracy,
     network_accuracy: Accuracy,
@@ -178,11 +181,13 @@ impl Evaluator {
             let given = self.depth.given(network.spec().given);
             match network.estimate(frame, &sample.t_world_camera, given) {
                 Ok(_) => {
+                    self.joined.copy_from(network.last());
                     if let Some(dense) = dense.filter(|_| network.spec().given == GivenDepth::Dense)
                     {
-                        network.join(dense);
+                        // As on the robot.
+                        self.joined.join(dense);
                     }
-                    refined = Some(network.last());
+                    refined = Some(&self.joined);
                 }
                 Err(why) => self.events.add(&Event::NoDepth { why }),
             }

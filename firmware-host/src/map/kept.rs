@@ -1,6 +1,8 @@
 //! `--map FILE`: the map that a run begins with and leaves behind.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, bail};
@@ -27,8 +29,10 @@ pub struct KeptMap {
     areas: DrawnAreas,
     /// Where maps that have not met the loaded one are written in this run.
     separate: Option<PathBuf>,
-    /// Where the loaded map stays when this run replaces it for the first time; `None` afterwards, and for a new map.
+    /// Where the loaded map stays when this run replaces it; `None` for a new map.
     previous: Option<PathBuf>,
+    /// Whether it is there.
+    is_kept: Arc<AtomicBool>,
     /// Writes the map during the run.
     writing: Option<JoinHandle<()>>,
 }
@@ -49,6 +53,7 @@ impl KeptMap {
             areas: DrawnAreas::beside(path)?,
             separate: None,
             previous: None,
+            is_kept: Arc::default(),
             writing: None,
         };
         if !path.exists() {
@@ -120,7 +125,8 @@ impl KeptMap {
             bail!("{} stays as it was: {}", self.path.display(), lost_reason(why));
         }
         if !self.is_apart(robot) {
-            return Ok(Target { path: self.path.clone(), previous: self.previous.take() });
+            let previous = self.previous.clone();
+            return Ok(Target { path: self.path.clone(), previous, is_kept: self.is_kept.clone() });
         }
         let separate = self.separate.get_or_insert_with(|| free_name_beside(&self.path)).clone();
         tracing::warn!(
@@ -129,7 +135,7 @@ impl KeptMap {
             self.path.display(),
             separate.display()
         );
-        Ok(Target { path: separate, previous: None })
+        Ok(Target { path: separate, previous: None, is_kept: Arc::default() })
     }
 
     /// Compares the scanner with that of the loaded map, before the robot gets the scan.
@@ -201,16 +207,23 @@ impl KeptMap {
 #[derive(Debug)]
 struct Target {
     path: PathBuf,
-    /// Where what is in the file now stays.
+    /// Where what is in the file now stays, if it is not there yet.
     previous: Option<PathBuf>,
+    is_kept: Arc<AtomicBool>,
 }
 
 impl Target {
+    /// Writes the file. What cannot be kept is logged, because the new map would be lost otherwise.
     fn write(&self, file: &MapFile) -> Result<()> {
-        if let Some(previous) = self.previous.as_ref().filter(|_| self.path.exists()) {
-            keep(&self.path, previous).with_context(|| {
-                format!("cannot keep {} as {}", self.path.display(), previous.display())
-            })?;
+        let is_kept = self.is_kept.load(Ordering::Relaxed) || !self.path.exists();
+        if let Some(previous) = self.previous.as_ref().filter(|_| !is_kept) {
+            match keep(&self.path, previous) {
+                Ok(()) => self.is_kept.store(true, Ordering::Relaxed),
+                Err(error) => tracing::warn!(
+                    "the map that the run began with cannot be kept as {}: {error}",
+                    previous.display()
+                ),
+            }
         }
         Ok(file.write(&self.path)?)
     }
@@ -218,11 +231,17 @@ impl Target {
 
 /// Gives a file a second name. The file is replaced and not changed afterwards, so the second name keeps what is in it now.
 fn keep(path: &Path, previous: &Path) -> std::io::Result<()> {
-    if previous.exists() {
-        std::fs::remove_file(previous)?;
-    }
+    // A link itself would lead to the new file.
+    let file = path.canonicalize()?;
+    let partial = beside(previous, ".partial");
+    let _ = std::fs::remove_file(&partial);
     // Not every file system has hard links.
-    std::fs::hard_link(path, previous).or_else(|_| std::fs::copy(path, previous).map(|_bytes| ()))
+    std::fs::hard_link(&file, &partial)
+        .or_else(|_| std::fs::copy(&file, &partial).map(|_bytes| ()))?;
+    std::fs::rename(&partial, previous)?;
+    // Nothing is renamed if both were the same file.
+    let _ = std::fs::remove_file(&partial);
+    Ok(())
 }
 
 /// Where maps that have not met that of `path` are written: the first of `home.separate.map`, `home.separate-2.map` and so on that does not
@@ -259,22 +278,58 @@ mod tests {
         assert_eq!(beside(Path::new("home"), ".separate"), Path::new("home.separate"));
     }
 
+    fn map(state: &str) -> MapFile {
+        MapFile { about: About::now(0.18), state: state.into() }
+    }
+
+    fn state(path: &Path) -> Vec<u8> {
+        MapFile::read(path).unwrap().state
+    }
+
+    /// Where a run writes that began with the map in `path`.
+    fn target(path: &Path) -> Target {
+        let previous = Some(beside(path, ".previous"));
+        Target { path: path.to_owned(), previous, is_kept: Arc::default() }
+    }
+
     #[test]
     fn the_map_that_a_run_began_with_stays_beside_the_new_one_until_the_next_run() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("home.map");
         let previous = folder.path().join("home.previous.map");
-        let map = |state: &str| MapFile { about: About::now(0.18), state: state.into() };
-        let write =
-            |state, previous| Target { path: path.clone(), previous }.write(&map(state)).unwrap();
-        let state = |path: &Path| MapFile::read(path).unwrap().state;
-        write("of Monday", Some(previous.clone()));
+        target(&path).write(&map("of Monday")).unwrap();
         assert!(!previous.exists());
-        write("of Tuesday at noon", Some(previous.clone()));
-        write("of Tuesday", None);
+        let tuesday = target(&path);
+        tuesday.write(&map("of Tuesday at noon")).unwrap();
+        tuesday.write(&map("of Tuesday")).unwrap();
         assert_eq!(state(&path), b"of Tuesday");
         assert_eq!(state(&previous), b"of Monday");
-        write("of Wednesday", Some(previous.clone()));
+        target(&path).write(&map("of Wednesday")).unwrap();
         assert_eq!(state(&previous), b"of Tuesday");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn of_a_map_behind_a_link_the_file_is_kept_and_not_the_link() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("there.map");
+        let link = folder.path().join("home.map");
+        map("of Monday").write(&file).unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        target(&link).write(&map("of Tuesday")).unwrap();
+        assert_eq!(state(&link), b"of Tuesday");
+        assert_eq!(state(&folder.path().join("home.previous.map")), b"of Monday");
+    }
+
+    #[test]
+    fn a_map_is_written_even_if_the_one_before_cannot_be_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("home.map");
+        map("of Monday").write(&path).unwrap();
+        std::fs::create_dir_all(folder.path().join("home.previous.map/full")).unwrap();
+        let tuesday = target(&path);
+        tuesday.write(&map("of Tuesday")).unwrap();
+        assert_eq!(state(&path), b"of Tuesday");
+        assert!(!tuesday.is_kept.load(Ordering::Relaxed));
     }
 }

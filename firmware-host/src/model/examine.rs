@@ -13,7 +13,7 @@ use ort::environment::Environment;
 use runtime::model_gate::{
     Examination, FrameScore, Latency, ScoredFrame, Scorer, Source, check_onnx_file,
 };
-use runtime::perception::{DepthNetwork, GivenDepth, InputKind, NetworkOptions};
+use runtime::perception::{DepthNetwork, InputKind, NetworkOptions};
 use rustix::process::{Resource, Rlimit, Signal, nice, set_parent_process_death_signal, setrlimit};
 use serde::{Deserialize, Serialize};
 use thread_priority::{NormalThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy};
@@ -275,17 +275,9 @@ impl Examiner {
         let view = sample.view(&self.camera, sample.rgb)?;
         let began = Instant::now();
         let given = sample.given(network.spec().given);
-        let has_depth = network.estimate(view, &sample.t_odom_camera, given).is_ok();
+        let estimate = network.estimate(view, &sample.t_odom_camera, given);
         let ms = began.elapsed().as_secs_f64() * 1e3;
-        if has_depth
-            && network.spec().given == GivenDepth::Dense
-            && let Some(dense) = given
-        {
-            // As on the robot.
-            network.join(dense);
-        }
-        let score = has_depth.then(|| {
-            let estimate = network.last();
+        let score = estimate.ok().map(|estimate| {
             self.scorer.score(sample.rgb, estimate, sample.coarse, sources, &sample.line)
         });
         Ok((score, ms))

@@ -1,8 +1,7 @@
 //! What a robot knows that has just started: dense depth without memory, and without coarse depth until there is parallax.
 //!
-//! In a recording this is rare, because a robot starts once and drives for an hour. A network that is trained on recordings alone relies
-//! on the memory of dense depth: on views that a robot reached without having seen them before, its predecessor made dense depth worse
-//! (docs/accuracy.md, *views without memory*).
+//! In a recording this is rare, because a robot starts once and drives for an hour. A network that was trained on recordings as they are
+//! made dense depth worse where there was no memory (docs/accuracy.md, *Views without memory*).
 
 use anyhow::Result;
 use hal::{CameraModel, Pose3};

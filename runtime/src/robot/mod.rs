@@ -119,6 +119,8 @@ pub struct Robot {
     network: Option<DepthNetwork>,
     /// What the map believes of dense depth, if it uses it.
     believed: DepthEstimate,
+    /// The network's depth, joined with dense depth if the network was given that.
+    joined: DepthEstimate,
     truth: DepthEstimate,
     has_depth: HasDepth,
     location: Location,
@@ -178,6 +180,7 @@ impl Robot {
             dense,
             network,
             believed: DepthEstimate::none(config.camera.width, config.camera.height),
+            joined: DepthEstimate::none(config.camera.width, config.camera.height),
             truth: DepthEstimate::none(config.camera.width, config.camera.height),
             has_depth: HasDepth::default(),
             location: Location::new(config.localization.clone(), config.t_base_laser)?,
@@ -429,10 +432,15 @@ impl Robot {
             };
             let result = network.estimate(frame, t_odom_camera, given).map(|_| ());
             if network.spec().given == GivenDepth::Dense && result.is_ok() {
-                if self.has_depth.dense {
-                    network.join(self.dense.last());
+                let seen = self.has_depth.coarse.then(|| self.coarse.last());
+                self.joined.copy_from(network.last());
+                if let Some(dense) = given {
+                    self.joined.join(dense);
                 }
-                network.doubt_unseen(self.has_depth.coarse.then(|| self.coarse.last()));
+                if self.config.depth_source == DepthSource::Network {
+                    map_depth(&mut self.believed, &self.joined, seen);
+                }
+                network.doubt_unseen(seen);
             }
             timer.ended(Stage::Network);
             self.has_depth.network = result.is_ok();
@@ -531,18 +539,30 @@ impl Robot {
         match self.config.depth_source {
             DepthSource::Coarse => self.coarse_depth(),
             DepthSource::Dense => self.has_depth.dense.then_some(&self.believed),
+            DepthSource::Network if self.is_joined() => {
+                self.has_depth.network.then_some(&self.believed)
+            }
             DepthSource::Network => self.network_depth(),
             DepthSource::Truth => self.has_depth.truth.then_some(&self.truth),
         }
     }
 
-    /// The depth of this tick that can be compared with the LiDAR: dense depth cannot, because it was made with the scan.
+    /// The depth of this tick that can be compared with the LiDAR: dense depth cannot, because it was made with the scan, and no depth
+    /// that was joined with it.
     #[must_use]
     pub fn compared_depth(&self) -> Option<&DepthEstimate> {
         match self.config.depth_source {
             DepthSource::Dense => self.coarse_depth(),
-            _ => self.mapped_depth(),
+            DepthSource::Network => {
+                self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
+            }
+            DepthSource::Coarse | DepthSource::Truth => self.mapped_depth(),
         }
+    }
+
+    /// Whether the network's depth is joined with dense depth, which it was given.
+    fn is_joined(&self) -> bool {
+        self.network.as_ref().is_some_and(|network| network.spec().given == GivenDepth::Dense)
     }
 
     /// Coarse depth of this tick.
@@ -575,10 +595,12 @@ impl Robot {
         }
     }
 
-    /// The network's depth of this tick.
+    /// The network's depth of this tick; that of a network which is given dense depth is joined with it
+    /// ([`DepthEstimate::join`]).
     #[must_use]
     pub fn network_depth(&self) -> Option<&DepthEstimate> {
-        self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
+        let network = self.network.as_ref().filter(|_| self.has_depth.network)?;
+        Some(if self.is_joined() { &self.joined } else { network.last() })
     }
 
     fn update_map(&mut self, scan: Option<&LaserScan>, twist: &Twist2) {
@@ -600,6 +622,9 @@ impl Robot {
         let depth = match self.config.depth_source {
             DepthSource::Coarse => self.has_depth.coarse.then(|| self.coarse.last()),
             DepthSource::Dense => self.has_depth.dense.then_some(&self.believed),
+            DepthSource::Network if self.is_joined() => {
+                self.has_depth.network.then_some(&self.believed)
+            }
             DepthSource::Network => {
                 self.network.as_ref().filter(|_| self.has_depth.network).map(DepthNetwork::last)
             }

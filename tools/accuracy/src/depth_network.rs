@@ -62,10 +62,11 @@ impl Engine for Refined {
         if self.network.estimate(frame, pose, given.as_ref()).is_err() {
             return Ok(None);
         }
+        let mut estimate = self.network.last().clone();
         if let (Input::Dense, Some(dense)) = (self.input, &given) {
             // As on the robot.
-            self.network.join(dense);
+            estimate.join(dense);
         }
-        Ok(Some(self.network.last().clone()))
+        Ok(Some(estimate))
     }
 }

@@ -213,13 +213,6 @@ impl DepthNetwork {
         session.run(|output| planes::read_output(output, spec, estimate))
     }
 
-    /// Joins `dense`, the frame's dense depth, with the last estimate ([`DepthEstimate::join`]). The robot does this for models that are
-    /// given dense depth: in a home unlike those that it was trained in, a network also corrects what was right, but is less sure then
-    /// than dense depth was.
-    pub fn join(&mut self, dense: &DepthEstimate) {
-        self.estimate.join(dense);
-    }
-
     /// Limits the confidence of the last estimate where `seen` has no depth. The robot does this for models that are given dense
     /// depth, with coarse depth as `seen`.
     pub fn doubt_unseen(&mut self, seen: Option<&DepthEstimate>) {

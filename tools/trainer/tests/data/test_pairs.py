@@ -45,14 +45,16 @@ def test_standing_still_and_rotating_on_the_spot_give_no_pairs() -> None:
 
 
 def test_a_loss_that_needs_no_sources_is_trained_on_rotations_too() -> None:
-    frames = replace(frames_at([0.0] * 4, [0.0, 0.1, 0.2, 0.3]), held_out=np.array([False, True, False, False]))
+    # The third frame shows what the second does.
+    yaws = [0.0, 0.1, 0.1, 0.2, 0.3]
+    frames = replace(frames_at([0.0] * 5, yaws), held_out=np.array([False, True, True, False, False]))
     pairs, held = find_pairs(frames, None, PairRule(), needs_sources=False)
-    assert (pairs.targets.tolist(), held.targets.tolist()) == ([0, 2, 3], [1])
+    assert (pairs.targets.tolist(), held.targets.tolist()) == ([0, 3, 4], [1])
     targets, sources_of_targets = pairs.sample(8, np.random.default_rng(1))
-    assert set(targets.tolist()) <= {0, 2, 3}
+    assert set(targets.tolist()) <= {0, 3, 4}
     assert sources_of_targets.shape == (8, 0)
-    with pytest.raises(TrainerError, match="all of 4 frames are held out"):
-        find_pairs(replace(frames, held_out=np.ones(4, np.bool_)), None, PairRule(), needs_sources=False)
+    with pytest.raises(TrainerError, match="all of 5 frames are held out"):
+        find_pairs(replace(frames, held_out=np.ones(5, np.bool_)), None, PairRule(), needs_sources=False)
 
 
 def test_a_frame_that_looks_elsewhere_is_not_a_source() -> None:

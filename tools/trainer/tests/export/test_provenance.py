@@ -130,5 +130,5 @@ def test_the_shipped_network_says_what_is_known_of_it(capsys: pytest.CaptureFixt
 
     assert main(["provenance", str(SHIPPED)]) == 0
     said = capsys.readouterr().out
-    assert "began with: default.onnx sha256:" in said
+    assert "began with: raw.onnx sha256:e229debd8ea798f6" in said
     assert f"{len(RUNS)} runs" in said

@@ -9,7 +9,8 @@ import pytest
 
 from embodied_depth_trainer.commands.cli import main
 from embodied_depth_trainer.data.messages import segments
-from embodied_depth_trainer.studies.adaptation import AdaptationSettings, pull
+from embodied_depth_trainer.errors import TrainerError
+from embodied_depth_trainer.studies.adaptation import AdaptationSettings, check_rounds, pull
 from embodied_depth_trainer.training import checkpoint as checkpoints
 
 from ..rooms import room
@@ -45,6 +46,19 @@ def test_a_study_measures_each_network_beside_what_needs_none_and_continues(
     before = calls(robot)
     assert main(arguments(robot, out)) == 0
     assert calls(robot) == before
+
+
+def test_rounds_without_a_new_segment_are_refused_instead_of_waited_for(
+    robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record(tmp_path / "run", room(40), [16, 16, 8])
+    check_rounds(tmp_path / "run", [16, 40])
+    with pytest.raises(TrainerError, match="after 20 30 frames, segments with 16 16 frames are complete"):
+        check_rounds(tmp_path / "run", [20, 30])
+    with pytest.raises(TrainerError, match="further apart"):
+        check_rounds(tmp_path / "run", [10])
+    assert main(arguments(robot, tmp_path / "out", "--init", "checkpoint.pt")) == 1
+    assert "give an ONNX file of `embodied-depth export`" in capsys.readouterr().err
 
 
 def test_other_settings_and_frames_that_do_not_grow_are_refused(

@@ -13,12 +13,14 @@ import torch
 
 from embodied_depth_trainer.commands.arguments import POLICIES, add_amp, add_device, add_firmware_host, add_init
 from embodied_depth_trainer.commands.watch import ENDLESS, WatchSettings, watch
+from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import write_atomically
 from embodied_depth_trainer.processes import pick_device
 from embodied_depth_trainer.studies.adaptation import (
     RESULT_FILE,
     AdaptationSettings,
     as_table,
+    check_rounds,
     draw,
     measured,
     pull,
@@ -27,7 +29,7 @@ from embodied_depth_trainer.studies.locks import exclusive
 from embodied_depth_trainer.studies.robot import explore, find_firmware_host, render_views
 from embodied_depth_trainer.studies.settings_file import keep_settings, plain
 from embodied_depth_trainer.studies.views import Views
-from embodied_depth_trainer.training.initial import SHIPPED_NAME, chosen
+from embodied_depth_trainer.training.initial import SHIPPED_NAME, chosen, is_exported
 
 
 def adapt(settings: AdaptationSettings, out: Path, robot: Path, watching: WatchSettings) -> list[dict[str, Any]]:
@@ -50,6 +52,7 @@ def adapt(settings: AdaptationSettings, out: Path, robot: Path, watching: WatchS
                 log,
                 dump=False,
             )
+        check_rounds(out / "run", settings.after)
         if not (out / "views").exists():
             _say(f"rendering {settings.views} test views")
             render_views(robot, settings.scene, config, settings.views, settings.views_seed, out / "views", log)
@@ -120,6 +123,11 @@ def add_adapt(command: argparse.ArgumentParser) -> None:
 def run_adapt(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     init = options.init or SHIPPED_NAME
+    first = chosen(init)
+    if first is not None and not is_exported(first):
+        raise TrainerError(
+            f"--init {first} is measured as a robot uses it; give an ONNX file of `embodied-depth export`"
+        )
     settings = AdaptationSettings(
         scene=options.scene,
         policy=options.policy,
@@ -128,7 +136,7 @@ def run_adapt(options: argparse.Namespace) -> None:
         steps=options.steps,
         views=options.views,
         views_seed=options.views_seed,
-        init=chosen(init),
+        init=first,
     )
     robot = find_firmware_host(options.firmware_host)
     watching = WatchSettings(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodied_depth_trainer.data.frame_set import FrameSet
-from embodied_depth_trainer.data.pairs import Pairs, alone
+from embodied_depth_trainer.data.pairs import Pairs, alone, while_moving
 from embodied_depth_trainer.errors import TrainerError
 
 CELL_M = 1.0
@@ -45,13 +45,14 @@ def _mixed(state: int) -> int:
 
 
 def targets_alone(frames: FrameSet, limit: int) -> tuple[Pairs, Pairs]:
-    """All frames without sources: those for training, and at most `limit` of those that are held out. Frames that no
-    other is a source of are among them, as those of a rotation on the spot are."""
+    """All frames of a moving camera, without sources: those for training, and at most `limit` of those that are held
+    out. Frames that no other is a source of are among them, as those of a rotation on the spot are."""
     held: NDArray[np.bool_] = np.zeros(len(frames), np.bool_) if frames.held_out is None else frames.held_out
-    trained = np.flatnonzero(~held).astype(np.int64)
+    different = while_moving(frames)
+    trained = different[~held[different]]
     if not len(trained):
         raise TrainerError(f"all of {len(frames)} frames are held out; let the robot drive through more places")
-    return alone(trained), only_held_out(frames, alone(np.arange(len(frames), dtype=np.int64)), limit)
+    return alone(trained), only_held_out(frames, alone(different), limit)
 
 
 def without_held_out(frames: FrameSet, pairs: Pairs) -> Pairs:

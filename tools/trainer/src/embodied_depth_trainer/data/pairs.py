@@ -6,6 +6,7 @@ noise.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +24,9 @@ PAPER_GAP_REAL = 15
 # Size of the pixel grid on which overlap is estimated.
 GRID_ROWS = 6
 GRID_COLUMNS = 12
+# A camera that moves less than this from one frame to another stands.
+STANDS_M = 0.01
+STANDS_RAD = 0.01
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,23 @@ class Pairs:
             sides = [side for side in (self.earlier[index], self.later[index]) if len(side)]
             sources[row] = generator.choice(sides[0]), generator.choice(sides[-1])
         return self.targets[chosen], sources
+
+
+def while_moving(frames: FrameSet) -> NDArray[np.int64]:
+    """The frames in which the camera has moved: a robot at its place for an hour shows one view 36,000 times."""
+    poses = frames.t_world_camera
+    kept: list[int] = []
+    for index in range(len(frames)):
+        if not kept or frames.run[kept[-1]] != frames.run[index] or _has_moved(poses[kept[-1]], poses[index]):
+            kept.append(index)
+    return np.array(kept, np.int64)
+
+
+def _has_moved(before: NDArray[np.float64], now: NDArray[np.float64]) -> bool:
+    if np.linalg.norm(now[:3, 3] - before[:3, 3]) >= STANDS_M:
+        return True
+    cosine = (np.sum(before[:3, :3] * now[:3, :3]) - 1) / 2
+    return bool(cosine <= math.cos(STANDS_RAD))
 
 
 def alone(targets: NDArray[np.int64]) -> Pairs:

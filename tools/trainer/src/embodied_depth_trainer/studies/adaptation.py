@@ -8,8 +8,10 @@ on the same recording.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,18 +67,42 @@ class AdaptationSettings:
             raise TrainerError(f"--after {' '.join(map(str, self.after))} are no growing numbers of frames")
 
 
+def complete(run: Path, frames: int) -> tuple[list[Path], int]:
+    """The segments of a run that are complete after this many frames, and the number of frames in them."""
+    found: list[Path] = []
+    count = 0
+    for segment in segments(run):
+        inside = _frames_of(segment)
+        if count + inside > frames:
+            break
+        found.append(segment)
+        count += inside
+    return found, count
+
+
+def check_rounds(run: Path, after: Sequence[int]) -> None:
+    """Refuses rounds in which no new segment would be complete."""
+    counts = [0, *(complete(run, frames)[1] for frames in after)]
+    if any(now <= before for before, now in itertools.pairwise(counts)):
+        raise TrainerError(
+            f"after {' '.join(map(str, after))} frames, segments with {' '.join(map(str, counts[1:]))} frames are "
+            "complete, and each round needs a new one; give --after numbers that are further apart"
+        )
+
+
 def pull(run: Path, frames: int, pulled: Path) -> int:
-    """Links the segments of a run that are complete after this many frames into `pulled`, as pull-buffer would have
+    """Copies the segments of a run that are complete after this many frames into `pulled`, as pull-buffer would have
     fetched them by then. Returns the number of frames in them."""
     folder = pulled / run.name
     folder.mkdir(parents=True, exist_ok=True)
-    count = 0
-    for segment in segments(run):
-        count += _frames_of(segment)
-        if count > frames:
-            return count - _frames_of(segment)
-        if not (folder / segment.name).exists():
-            os.link(segment, folder / segment.name)
+    found, count = complete(run, frames)
+    for segment in found:
+        copy = folder / segment.name
+        if not copy.exists():
+            try:
+                os.link(segment, copy)
+            except OSError:
+                shutil.copy2(segment, copy)
     return count
 
 
