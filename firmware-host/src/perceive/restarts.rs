@@ -1,6 +1,6 @@
 //! What a robot knows that has just started: dense depth without memory, and without coarse depth until there is parallax.
 //!
-//! In a recording this is rare, because a robot starts once and drives for an hour. A network that was trained on recordings as they are
+//! In a recording this is rare: the engine starts once for each of its segments, which are a minute long. A network that was trained on recordings as they are
 //! made dense depth worse where there was no memory (docs/accuracy.md, *Views without memory*).
 
 use anyhow::Result;
@@ -10,7 +10,7 @@ use runtime::perception::{CoarseConfig, DenseConfig, DepthEstimate};
 use crate::config::Config;
 use crate::frame_depth::{FrameDepth, Shot};
 
-/// Starts anew for every second stretch of frames.
+/// Starts again for every second stretch of frames.
 pub(super) struct Restarts {
     /// Length of a stretch in frames.
     every: u64,

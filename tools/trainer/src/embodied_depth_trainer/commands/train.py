@@ -134,7 +134,17 @@ def add_train(command: argparse.ArgumentParser) -> None:
     command.add_argument("--smoothness", type=float, help="weight of the smoothness loss [1e-3; sc_depth_r18: 0.1]")
     command.add_argument("--geometry", type=float, help="weight of the geometry consistency [0; sc_depth_r18: 0.5]")
     command.add_argument(
-        "--coarse-weight", type=float, default=0.1, help="weight of the agreement with coarse depth [0.1]"
+        "--coarse-weight",
+        type=float,
+        default=0.1,
+        help="weight of the agreement with the depth that the network is given [0.1]",
+    )
+    command.add_argument(
+        "--color-change",
+        type=float,
+        metavar="SHARE",
+        help="change colours of most images by up to this share; the default network was trained with 0.5 [of half of "
+        "them, by up to 0.2, as in the paper's code]",
     )
     command.add_argument(
         "--label-weight", type=float, default=1.0, help="weight of the agreement with the store's labels [1]"
@@ -191,6 +201,7 @@ def settings_of(options: argparse.Namespace, past: PastFrames | None) -> Setting
         learning_rate=options.learning_rate,
         depth_range_m=(near, far),
         augment=not options.no_augmentation,
+        color_change=options.color_change,
         coarse_weight=options.coarse_weight,
         uncertainty_weight=options.uncertainty_weight,
         label_weight=options.label_weight,

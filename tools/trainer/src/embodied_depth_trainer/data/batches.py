@@ -20,7 +20,7 @@ COLOR_CHANGE = 0.2
 HUE_CHANGE = 0.1
 # Probabilities that the colours of a sample are jittered, that all its coarse depth is dropped, or a rectangle of it.
 COLOR_PROBABILITY = 0.5
-# That the colours of a sample are changed if they are changed by more than in the paper's code.
+# The first of these with `color_change`.
 STRONG_COLOR_PROBABILITY = 0.8
 NO_COARSE_PROBABILITY = 0.15
 HOLE_PROBABILITY = 0.35

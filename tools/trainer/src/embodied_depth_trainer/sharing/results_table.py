@@ -8,7 +8,7 @@ from typing import Any
 
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.sharing.cards import table
-from embodied_depth_trainer.studies.evaluation import CONFIDENT, FILLED, REFINED, Metrics
+from embodied_depth_trainer.studies.evaluation import CONFIDENT, FILLED, JOINED, REFINED, Metrics
 
 BASELINES = {
     "constant": "baseline: each image's median of the truth",
@@ -61,7 +61,11 @@ def _row(name: str, found: Metrics, title: str) -> list[str]:
 
 def _named(name: str, title: str) -> str:
     """A row's name in words."""
-    pixels = {title + CONFIDENT: "where it is sure enough for the map", title + REFINED: "where there is coarse depth"}
+    pixels = {
+        title + CONFIDENT: "where it is sure enough for the map",
+        title + REFINED: "where there is coarse depth",
+        title + JOINED: "joined with dense depth, as the robot uses it",
+    }
     if name in pixels:
         return f"this network, {pixels[name]}"
     return f"**this network** ({name})" if name == title else BASELINES.get(name, name)

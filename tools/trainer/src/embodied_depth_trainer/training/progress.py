@@ -64,7 +64,7 @@ class Progress:
         self.bar = tqdm(total=steps, unit="step", disable=None if self.is_first_process else True)
         self.initial = self.validation.measure(trainer) if len(self.validation) else None
         if self.initial is None:
-            self._say("no validation: no frame with a source is in a held-out place; drive through more places")
+            self._say("no validation: no frame to measure is in a held-out place; drive through more places")
 
     def __enter__(self) -> Self:
         self.since = time.perf_counter()
