@@ -20,7 +20,7 @@ mod separate_maps_tests;
 #[cfg(test)]
 mod sweep_tests;
 #[cfg(test)]
-mod test_robot;
+pub(crate) mod test_robot;
 mod tilt;
 mod wheel_frame;
 

@@ -18,7 +18,7 @@ pub(super) const GEOMETRY: ScanGeometry = ScanGeometry {
     ..ScanGeometry::UTM_30LX
 };
 
-pub(super) fn config() -> RobotConfig {
+pub(crate) fn config() -> RobotConfig {
     let camera = CameraModel::pinhole(64, 32, 1.5);
     let default = RobotConfig::of(&RobotDescription::default(), camera, PolicyKind::Frontier, 1);
     // A small map, because it is written to a snapshot.
@@ -61,7 +61,7 @@ pub(super) fn stand(robot: &mut Robot, tick: u64, truth: &Pose2, wheel: Pose2) -
 }
 
 /// The input of a tick in which the robot stands at a true pose and its wheels report `wheel`.
-pub(super) fn standing(tick: u64, truth: &Pose2, wheel: Pose2) -> RecordedTick {
+pub(crate) fn standing(tick: u64, truth: &Pose2, wheel: Pose2) -> RecordedTick {
     let time_ns = tick * 100_000_000;
     let mut input = RecordedTick::new(tick, time_ns);
     input.wheel.odom = wheel;

@@ -3,10 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use hal::{CameraModel, DepthMap, ImageView, PixelFormat, Pose3};
+use hal::{CameraModel, DepthMap, ImageView, PixelFormat, Pose2, Pose3};
 use ort::environment::Environment;
 
 use super::*;
+use crate::recording::RgbImage;
+use crate::robot::{DepthSource, Robot, RobotConfig, test_robot};
+use crate::session::recompute;
 
 const SIZE: (usize, usize) = (8, 4);
 const PIXELS: usize = 32;
@@ -423,4 +426,47 @@ fn an_unavailable_provider_is_an_error_that_names_the_available_ones() {
         let explained = text.contains("it has: cpu") || text.contains("does not start");
         assert!(explained && text.contains(provider.name()), "{text}");
     }
+}
+
+/// A model with one more entry of metadata, which is field 14 of ONNX's `ModelProto`. Protocol buffers may be concatenated.
+fn with_metadata(model: &[u8], key: &str, value: &str) -> Vec<u8> {
+    let text =
+        |field: u8, text: &str| [&[field << 3 | 2, text.len() as u8], text.as_bytes()].concat();
+    let entry = [text(1, key), text(2, value)].concat();
+    [model, &[14 << 3 | 2, entry.len() as u8], &entry].concat()
+}
+
+/// The model is certain everywhere, and the robot stands, so that no motion has confirmed anything.
+#[test]
+fn a_robot_joins_a_network_with_dense_depth_maps_that_with_caution_and_compares_it_alone() {
+    let mut robots = ["coarse", "dense"].map(|given| {
+        let config = RobotConfig { depth_source: DepthSource::Network, ..test_robot::config() };
+        let model = with_metadata(&model("any_size"), "given_depth", given);
+        let options = NetworkOptions::default();
+        let network = DepthNetwork::load(&ONNX_RUNTIME, &model, &config.camera, options).unwrap();
+        let mut robot = Robot::new(config, Some(network)).unwrap();
+        for tick in 0..3 {
+            let mut input = test_robot::standing(tick, &Pose2::IDENTITY, Pose2::IDENTITY);
+            // Without texture there would be no dense depth. The model says 1 to 5 m for these colours, and the walls are 2 m away.
+            let noise = |at: u32| (at.wrapping_mul(2_654_435_761) >> 24) as u8 % 16 + 4;
+            let rgb = (0..64 * 32 * 3).map(noise);
+            input.frame = Some(RgbImage { width: 64, height: 32, rgb: rgb.collect() });
+            recompute(&mut robot, &input).unwrap();
+        }
+        robot
+    });
+    let [coarse, dense] = &mut robots;
+    let confidence = |depth: Option<&DepthEstimate>| depth.unwrap().confidence.clone();
+    // A network that is given coarse depth stays as it is.
+    assert!(confidence(coarse.network_depth()).iter().all(|p| *p == 1.0));
+    assert_eq!(coarse.mapped_depth(), coarse.network_depth());
+    // Its own depth and dense depth agree somewhere, and there, dense depth is not certain.
+    assert!(dense.dense_depth().is_some());
+    let joined = confidence(dense.network_depth());
+    assert!(joined.iter().any(|p| *p < 1.0) && joined.iter().any(|p| *p > 0.75), "{joined:?}");
+    let own = dense.compared_depth().unwrap();
+    assert!(own.confidence.iter().all(|p| *p == 0.75));
+    assert_eq!(own.depth, coarse.compared_depth().unwrap().depth);
+    let mapped = confidence(dense.mapped_depth());
+    assert!(mapped.iter().zip(&joined).all(|(mapped, joined)| *mapped == joined.min(0.75)));
 }

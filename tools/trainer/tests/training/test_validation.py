@@ -152,5 +152,5 @@ def test_train_draws_its_progress_and_says_when_it_cannot_validate(
     store = store_of(run, tmp_path / "store", robot)
     command = ["train", "--store", str(store.folder), "--init", "shipped", "--batch", "2"]
     assert main([*command, "--steps", "2", "--out", str(out)]) == 0
-    assert "no validation: no frame with a source is in a held-out place" in capfd.readouterr().err
+    assert "no validation: no frame to measure is in a held-out place" in capfd.readouterr().err
     assert (out / PICTURE_FILE).read_bytes().startswith(b"\x89PNG")
