@@ -370,9 +370,9 @@ pub struct PerceiveArgs {
     /// created if it is missing, and must not contain dump.json of another run.
     #[arg(long, value_name = "DIR")]
     pub dump: Option<PathBuf>,
-    /// Also dump what a robot knows that has just started: of every second stretch of this many frames,
-    /// --dump writes the dense depth of an engine that starts with the stretch. A network that is
-    /// trained on memory alone fails where there is none.
+    /// Dump half of the frames as of a robot that has just started: in every second stretch of this many
+    /// frames, the dense depth is that of an engine that starts with the stretch. Networks that are
+    /// trained on it learn what to do without memory.
     #[arg(long, value_name = "FRAMES", requires = "dump", value_parser = whole_number(1..=10_000))]
     pub restart_every: Option<u64>,
     /// Configuration file. `firmware-host check` prints all keys with their defaults.

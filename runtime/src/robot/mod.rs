@@ -117,7 +117,7 @@ pub struct Robot {
     coarse: CoarseDepth,
     dense: DenseDepth,
     network: Option<DepthNetwork>,
-    /// What the map believes of dense depth, if it uses it.
+    /// What the map believes of dense depth, or of a network's depth that was joined with it, if it uses one of them.
     believed: DepthEstimate,
     /// The network's depth, joined with dense depth if the network was given that.
     joined: DepthEstimate,
