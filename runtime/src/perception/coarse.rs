@@ -80,6 +80,8 @@ pub(super) struct SeenCells<'a> {
     pub beliefs: &'a [Belief],
     pub confidence: &'a [f32],
     pub surroundings: &'a [Surround],
+    /// The votes of this frame alone; empty if it was not matched with earlier ones.
+    pub votes: &'a [Vote],
     /// Brightness of the full-size image, 256 to a grey level.
     pub smooth: &'a [u16],
     /// Whether the frame was matched with earlier ones.
@@ -242,6 +244,7 @@ impl CoarseDepth {
             beliefs: self.memory.beliefs(),
             confidence: &self.buffers.confidence,
             surroundings: self.buffers.surroundings.last(),
+            votes: if self.is_matched { &self.buffers.votes } else { &[] },
             smooth: &self.last_smooth,
             is_matched: self.is_matched,
         }

@@ -3,6 +3,7 @@
 //! Every cell of 4x4 pixels takes the more probable of coarse depth of this frame and the depth that the voxel map recalls
 //! (`voxel_map.rs`); where both agree, the probability rises. A cell for which neither is more probable than 50 % is filled from the
 //! cells around it (`fill.rs`). Last, a cell takes the wall or the floor that the scan promises (`walls.rs`) where that is more probable.
+//! With `dense.choice`, a small network then chooses anew among all four (`choice.rs`).
 //!
 //! What a map may believe of it is in `map_depth.rs`.
 
@@ -10,9 +11,11 @@ use hal::{CameraModel, LaserScan, Pose2, Pose3};
 
 use super::DepthEstimate;
 use super::belief::{AGREEMENT, Belief};
+use super::choice::{CANDIDATES, Cell, Choice, FEATURES};
 use super::coarse::{CoarseDepth, SeenCells, shrink};
 use super::confidence::{belief_features, logistic, logit};
 use super::config::DenseConfig;
+use super::estimate::UNCONFIRMED;
 use super::fill::{Fill, Filled};
 use super::surround::{Surround, Surroundings};
 use super::upsample::Cells;
@@ -38,6 +41,17 @@ pub struct Candidates {
     pub without_walls: (f32, f32),
     /// What the scan tells, and the share of the cells around that agree with their walls.
     pub wall: (Wall, f32),
+    /// What the choice was made from; `None` without one.
+    pub choice: Option<Choosable>,
+}
+
+/// What the choice of a cell was made from.
+#[derive(Debug, Clone, Copy)]
+pub struct Choosable {
+    /// Inverse depth of coarse, recalled and filled depth and of the wall or floor, 1/m; 0 where there is none.
+    pub inverse_depth: [f32; CANDIDATES],
+    /// The inputs of the network.
+    pub features: [f32; FEATURES],
 }
 
 /// Where and when a frame was taken.
@@ -79,11 +93,14 @@ pub struct DenseDepth {
     around_recalled: Surroundings,
     coarse: Vec<(Belief, f32)>,
     recalled: Vec<f32>,
+    choice: Choice,
+    /// Whether the depths of the last frame were chosen: it had a scan.
+    has_choice: bool,
     joined: Vec<Belief>,
     confidence: Vec<f32>,
     /// What is chosen without walls: inverse depth and its probability.
     without_walls: Vec<(f32, f32)>,
-    /// Probability of coarse depth where no wall contradicts it.
+    /// Probability of coarse depth where no wall contradicts it: what the voxel map learns.
     learnable: Vec<f32>,
     grey: Vec<u16>,
     estimate: DepthEstimate,
@@ -112,6 +129,8 @@ impl DenseDepth {
             around_recalled: Surroundings::default(),
             coarse: vec![(Belief::default(), 0.0); count],
             recalled: vec![0.0; count],
+            choice: Choice::default(),
+            has_choice: false,
             joined: vec![Belief::default(); count],
             confidence: vec![0.0; count],
             without_walls: Vec::new(),
@@ -134,11 +153,16 @@ impl DenseDepth {
 
     fn complete_in_pool(&mut self, seen: &SeenCells<'_>, moment: &Moment) {
         let t_map_camera = moment.t_map_odom.to_pose3() * seen.pose;
-        self.choose(seen, &t_map_camera);
+        self.join_seen(seen, &t_map_camera);
         let walls = self.walls.project(&moment.t_odom_base, moment.time_ns);
         self.wall_agreement.update(walls, &self.joined, &self.confidence, self.cells.width);
         self.fill_holes(seen);
+        let has_scan = self.walls.last().iter().any(|wall| wall.inverse_depth > 0.0);
+        self.has_choice = self.config.choice && has_scan;
         self.join_walls();
+        if self.has_choice {
+            self.choose(seen);
+        }
         if let Some(section) = moment.section {
             self.learn(seen, t_map_camera, section);
         }
@@ -158,7 +182,7 @@ impl DenseDepth {
         &self.estimate
     }
 
-    /// What every cell could have been, row-major; `cargo xtask accuracy --fit-dense` fits the probabilities with it.
+    /// What every cell could have been, row-major; `cargo xtask accuracy` fits the probabilities with it.
     pub fn candidates(&self) -> impl Iterator<Item = Candidates> {
         let recalled = self.voxels.last().iter().zip(self.around_recalled.last());
         let recalled =
@@ -168,13 +192,17 @@ impl DenseDepth {
             self.walls.last().iter().copied().zip(self.wall_agreement.last().iter().copied());
         let walls = walls.chain(std::iter::repeat(Default::default()));
         let first = self.coarse.iter().zip(recalled).zip(filled);
-        let all = first.zip(&self.without_walls).zip(walls);
-        all.map(|((((coarse, recalled), filled), without_walls), wall)| Candidates {
+        let all = first.zip(&self.without_walls).zip(walls).enumerate();
+        all.map(|(cell, ((((coarse, recalled), filled), without_walls), wall))| Candidates {
             coarse: *coarse,
             recalled,
             filled,
             without_walls: *without_walls,
             wall,
+            choice: self.has_choice.then(|| Choosable {
+                inverse_depth: self.choice.candidates()[cell],
+                features: self.choice.features(cell, self.cells.width),
+            }),
         })
     }
 
@@ -185,7 +213,7 @@ impl DenseDepth {
     }
 
     /// Takes the more probable of coarse and recalled depth for every cell.
-    fn choose(&mut self, seen: &SeenCells<'_>, t_map_camera: &Pose3) {
+    fn join_seen(&mut self, seen: &SeenCells<'_>, t_map_camera: &Pose3) {
         let recalled = self.voxels.recall(t_map_camera, &self.cells);
         let around = self.around_recalled.update(recalled, self.cells.width);
         for cell in 0..self.joined.len() {
@@ -258,6 +286,38 @@ impl DenseDepth {
                     self.learnable[cell] = 0.0;
                 }
             }
+        }
+    }
+
+    /// Chooses the depth of every cell anew, with what the scan promises.
+    fn choose(&mut self, seen: &SeenCells<'_>) {
+        let recalled = self.voxels.last();
+        let around = self.around_recalled.last();
+        let walls = self.walls.last();
+        let agreement = self.wall_agreement.last();
+        let cell = |cell: usize| Cell {
+            coarse: (
+                self.coarse[cell].0,
+                seen.surroundings.get(cell).copied().unwrap_or_default(),
+                self.coarse[cell].1,
+            ),
+            vote: seen.votes.get(cell).copied(),
+            recalled: (recalled[cell], around[cell], self.recalled[cell]),
+            filled: self.fill.last()[cell],
+            sides: self.fill.sides(cell),
+            wall: (walls[cell], agreement[cell]),
+        };
+        let chosen = self.choice.update(self.joined.len(), self.cells.width, cell);
+        for (cell, chosen) in chosen.iter().enumerate() {
+            let before = self.joined[cell].inverse_depth;
+            self.joined[cell].inverse_depth = chosen.inverse_depth;
+            // A map takes what both ways found: so fewer obstacles are marked that are not there.
+            let most = if agree(before, chosen.inverse_depth) { 1.0 } else { UNCONFIRMED };
+            let is_known = chosen.inverse_depth > 0.0;
+            let probability = chosen.probability.clamp(LEAST, most);
+            self.confidence[cell] = if is_known { probability } else { 0.0 };
+            // The blank wall of a kitchen would otherwise be recalled wherever coarse depth once found it by mistake.
+            self.learnable[cell] = seen.confidence[cell].min(chosen.coarse);
         }
     }
 
@@ -449,6 +509,48 @@ mod tests {
         drive(&mut robot);
         let right = robot.right(&pose([0.45, 0.0, 0.0], 0.0));
         assert!(right > 0.95, "{right}");
+    }
+
+    fn with_choice() -> DenseConfig {
+        DenseConfig { choice: true, ..DenseConfig::default() }
+    }
+
+    #[test]
+    fn the_choice_leaves_depth_that_was_seen_before_a_wall_and_takes_the_wall_before_anything_was_seen()
+     {
+        let mut robot = Robot::with_scanner(with_choice(), 4.0);
+        drive(&mut robot);
+        let right = robot.right(&pose([0.45, 0.0, 0.0], 0.0));
+        assert!(right > 0.95, "{right}");
+        let at = pose([0.0; 3], 0.0);
+        let mut robot = Robot::with_scanner(with_choice(), 2.5);
+        assert!(!robot.process(&at));
+        assert!(robot.right(&at) > 0.95, "{}", robot.right(&at));
+    }
+
+    #[test]
+    fn without_a_scan_there_is_no_choice() {
+        let mut robot = Robot::with_scanner(with_choice(), 2.5);
+        robot.dense.walls = Walls::default();
+        let mut without = Robot::with_scanner(DenseConfig::default(), 2.5);
+        without.dense.walls = Walls::default();
+        drive(&mut robot);
+        drive(&mut without);
+        assert!(robot.dense.candidates().all(|cell| cell.choice.is_none()));
+        assert_eq!(robot.dense.last(), without.dense.last());
+    }
+
+    #[test]
+    fn what_the_choice_does_not_share_with_the_logistic_models_stays_below_what_a_map_takes() {
+        let mut robot = Robot::with_scanner(with_choice(), 4.0);
+        let mut without = Robot::with_scanner(DenseConfig::default(), 4.0);
+        drive(&mut robot);
+        drive(&mut without);
+        let cells = robot.dense.joined.iter().zip(&without.dense.joined);
+        for ((own, before), confidence) in cells.zip(&robot.dense.confidence) {
+            let is_shared = agree(own.inverse_depth, before.inverse_depth);
+            assert!(is_shared || *confidence <= UNCONFIRMED, "{own:?} {before:?}");
+        }
     }
 
     #[test]

@@ -51,9 +51,11 @@ impl Filled {
 
 /// The value that is carried along a line.
 #[derive(Debug, Clone, Copy, Default)]
-struct Carried {
-    inverse_depth: f32,
-    cost: f32,
+pub(super) struct Carried {
+    /// 1/m; 0: nothing was known on this side.
+    pub inverse_depth: f32,
+    /// Cost of the path from the known cell, steps.
+    pub cost: f32,
 }
 
 /// Fills cells; remembers the mean inverse depth of every row of the image.
@@ -81,6 +83,11 @@ impl Fill {
     /// The result of the last [`fill`](Self::fill).
     pub fn last(&self) -> &[Filled] {
         &self.filled
+    }
+
+    /// What the last [`fill`](Self::fill) carried into this cell from the four sides.
+    pub(super) fn sides(&self, cell: usize) -> [Carried; 4] {
+        self.sides.each_ref().map(|side| side[cell])
     }
 
     /// Fills all cells of `known` (rows of `width` cells) without inverse depth. `grey` is the brightness of the cells, 256 to a

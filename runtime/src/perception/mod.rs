@@ -13,12 +13,15 @@
 //! - **Confidence**: the probability that a vote, a belief or a depth is right, that is, within 25 % of the true depth.
 //! - **Voxel map**: sparse memory of the surfaces that were seen with confidence; depth of any view is *recalled* from it.
 //! - **Dense depth**: coarse depth, completed by recalled depth, by filling and by walls above the hits of the scanner ([`DenseDepth`]).
+//! - **Candidate**: a depth that a cell could have: coarse, recalled, filled, wall. The *choice* takes the most probable one (`choice.rs`).
 //! - **Map depth**: what a map may believe of dense depth, which holds assumptions ([`map_depth()`]).
 //! - **Motion mask**: the cells whose content moves relative to the static scene; they get no depth.
 
 mod aggregate;
 mod belief;
 mod census;
+pub mod choice;
+mod choice_weights;
 mod coarse;
 pub mod confidence;
 mod config;

@@ -1,4 +1,4 @@
-//! Fits the probabilities of dense depth.
+//! Fits the probabilities of dense depth, and visits its cells with their truth for other fits.
 
 use anyhow::Result;
 use hal::{CameraModel, ImageView};
@@ -96,6 +96,35 @@ fn samples<const N: usize>(
     sample: &impl Fn(&Candidates, IsRight<'_>) -> Option<([f32; N], bool)>,
 ) -> Result<Samples<N>> {
     let mut samples = Samples::default();
+    let sparse = Sparse { every_frame: 1, every_cell: 17 };
+    visit(sequence, disturbance, coarse, dense, sparse, |cell, truth_m| {
+        let right = |inverse_depth| is_right(inverse_depth, truth_m);
+        if let Some((features, right)) = sample(cell, &right) {
+            samples.add(features, right);
+        }
+    })?;
+    Ok(samples)
+}
+
+/// Which cells of a sequence are visited: neighbouring frames and cells are correlated.
+#[derive(Debug, Clone, Copy)]
+pub struct Sparse {
+    pub every_frame: usize,
+    pub every_cell: usize,
+}
+
+/// Computes dense depth of a sequence, and visits cells that have a truth, which is in metres.
+///
+/// # Errors
+/// When the camera cannot be used.
+pub fn visit(
+    sequence: &Sequence,
+    disturbance: Disturbance,
+    coarse: &CoarseConfig,
+    dense: &DenseConfig,
+    sparse: Sparse,
+    mut each: impl FnMut(&Candidates, f32),
+) -> Result<()> {
     let CameraModel { width, height, .. } = sequence.camera;
     let columns = width / 4;
     let mut engine =
@@ -112,24 +141,26 @@ fn samples<const N: usize>(
             dense.see(scan, t_odom_laser);
         }
         dense.complete(&engine, &view.moment);
-        let Some(truth) = &view.truth else { continue };
-        // Neighbouring cells are correlated: every seventeenth is enough.
-        for (cell, candidates) in dense.candidates().enumerate().skip(index % 17).step_by(17) {
+        let Some(truth) = view.truth.as_ref().filter(|_| index % sparse.every_frame == 0) else {
+            continue;
+        };
+        let first = index % sparse.every_cell;
+        let cells = dense.candidates().enumerate().skip(first).step_by(sparse.every_cell);
+        for (cell, candidates) in cells {
             let row = cell / columns * 4 + 1;
             let column = cell % columns * 4 + 1;
             let truth_m = truth.values()[row * width + column];
-            if truth_m > 0.0
-                && let Some((features, right)) =
-                    sample(&candidates, &|inverse_depth| is_right(inverse_depth, truth_m))
-            {
-                samples.add(features, right);
+            if truth_m > 0.0 {
+                each(&candidates, truth_m);
             }
         }
     }
-    Ok(samples)
+    Ok(())
 }
 
-fn is_right(inverse_depth: f32, truth_m: f32) -> bool {
+/// Whether the depth is within a factor of 1.25 of the truth, as in delta1.
+#[must_use]
+pub fn is_right(inverse_depth: f32, truth_m: f32) -> bool {
     let ratio = inverse_depth * truth_m;
     ratio > 0.8 && ratio < 1.25
 }

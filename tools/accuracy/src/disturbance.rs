@@ -18,6 +18,8 @@ pub enum Disturbance {
     Exposure,
     /// Every pose has an independent error of 2 mm and 2 mrad (standard deviation along and about each axis).
     Pose,
+    /// Twice that error of the pose, changes of the exposure, and noise of 5 grey levels; for fits only.
+    Rough,
 }
 
 impl Disturbance {
@@ -31,19 +33,26 @@ impl Disturbance {
             Self::None => "",
             Self::Exposure => "exposure x1.15 + 4",
             Self::Pose => "pose 2 mm, 2 mrad",
+            Self::Rough => "rough",
         }
     }
 
     /// The disturbed image and pose of the frame with this index.
     #[must_use]
     pub fn apply(self, index: usize, view: &View) -> (Vec<u8>, Pose3) {
-        let brighter = self == Self::Exposure && (index / EXPOSURE_PERIOD) % 2 == 1;
-        let rgb = match brighter {
+        let changes = matches!(self, Self::Exposure | Self::Rough);
+        let mut rgb = match changes && (index / EXPOSURE_PERIOD) % 2 == 1 {
             true => view.rgb.iter().map(|byte| brighten(*byte)).collect(),
             false => view.rgb.clone(),
         };
-        let pose =
-            if self == Self::Pose { noisy(index, &view.t_odom_camera) } else { view.t_odom_camera };
+        if self == Self::Rough {
+            add_noise(index, &mut rgb);
+        }
+        let pose = match self {
+            Self::None | Self::Exposure => view.t_odom_camera,
+            Self::Pose => noisy(index, &view.t_odom_camera, 0.002),
+            Self::Rough => noisy(index, &view.t_odom_camera, 0.004),
+        };
         (rgb, pose)
     }
 }
@@ -52,10 +61,21 @@ fn brighten(byte: u8) -> u8 {
     (f32::from(byte) * 1.15 + 4.0).min(255.0) as u8
 }
 
-fn noisy(index: usize, pose: &Pose3) -> Pose3 {
+/// Adds noise of 5 grey levels (standard deviation): the sum of four random bytes is nearly normal, with one of 147.8.
+fn add_noise(index: usize, rgb: &mut [u8]) {
     let mut random = Pcg64Mcg::seed_from_u64(index as u64);
-    let shift = Vector3::from_fn(|_, _| normal(&mut random, 0.002));
-    let rotation = Vector3::from_fn(|_, _| normal(&mut random, 0.002));
+    for byte in rgb {
+        let sum: u16 = random.random::<u32>().to_le_bytes().into_iter().map(u16::from).sum();
+        let noise = (f32::from(sum) - 510.0) * (5.0 / 147.8);
+        *byte = (f32::from(*byte) + noise).round().clamp(0.0, 255.0) as u8;
+    }
+}
+
+/// With errors of `deviation` metres and radians.
+fn noisy(index: usize, pose: &Pose3, deviation: f64) -> Pose3 {
+    let mut random = Pcg64Mcg::seed_from_u64(index as u64);
+    let shift = Vector3::from_fn(|_, _| normal(&mut random, deviation));
+    let rotation = Vector3::from_fn(|_, _| normal(&mut random, deviation));
     let noise =
         Pose3::from_parts(Translation3::from(shift), UnitQuaternion::from_scaled_axis(rotation));
     pose * noise

@@ -2,6 +2,7 @@
 //! used for evaluation only. `cargo xtask accuracy` prints the table.
 #![forbid(unsafe_code)]
 
+pub mod choice_fit;
 pub mod dense_fit;
 pub mod depth_network;
 pub mod disturbance;
@@ -10,5 +11,6 @@ pub mod fit;
 pub mod flow_network;
 pub mod least_squares;
 pub mod measure;
+pub mod perceptron;
 pub mod reliability;
 pub mod sequence;

@@ -4,7 +4,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use accuracy::dense_fit;
+use accuracy::choice_fit;
+use accuracy::dense_fit::{self, is_right};
 use accuracy::depth_network::{Input, Refined};
 use accuracy::disturbance::Disturbance;
 use accuracy::engine::{Coarse, Dense, Engine, FlowDepth, ScanAlone};
@@ -47,6 +48,10 @@ struct Options {
     /// Fit the probabilities of dense depth only, for the `[dense]` section.
     #[arg(long)]
     fit_dense: bool,
+    /// Fit the choice among coarse, recalled and filled depth and walls to sixteen simulated homes, and write its weights into
+    /// runtime/src/perception/choice_weights.rs. Takes ten minutes on two cores.
+    #[arg(long)]
+    fit_choice: bool,
     /// Configurations to compare; without any, the default configuration.
     #[arg(long = "config")]
     configs: Vec<PathBuf>,
@@ -69,6 +74,10 @@ struct Options {
 
 fn main() -> Result<()> {
     let options = Options::parse();
+    if options.fit_choice {
+        let runtime = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../runtime");
+        return choice_fit::run(&runtime.join("src/perception/choice_weights.rs"));
+    }
     let sequences = sequences(&options)?;
     let mut configs = Vec::new();
     for path in &options.configs {
@@ -126,6 +135,8 @@ fn main() -> Result<()> {
 }
 
 fn sequences(options: &Options) -> Result<Vec<Sequence>> {
+    let mut config = Config::default();
+    config.simulator.nuisances.people = options.people;
     let mut sequences = Vec::new();
     for folder in &options.datasets {
         sequences.push(recorded(folder)?);
@@ -137,7 +148,7 @@ fn sequences(options: &Options) -> Result<Vec<Sequence>> {
                 continue;
             }
             eprintln!("simulating {scene}, {}", motion.name());
-            sequences.push(simulated(&world, motion, options.frames, 1, options.people)?);
+            sequences.push(simulated(&world, motion, options.frames, 1, &config)?);
         }
     }
     Ok(sequences)
@@ -169,12 +180,6 @@ fn compare(
             .draw(&format!("{}: confidence", mean.engine), &folder.join("reliability.png"))?;
     }
     Ok(())
-}
-
-/// Whether the depth is within a factor of 1.25 of the truth, as in delta1.
-fn is_right(inverse_depth: f32, truth_m: f32) -> bool {
-    let ratio = inverse_depth * truth_m;
-    ratio > 0.8 && ratio < 1.25
 }
 
 /// Fits the confidence of votes first, then, with these weights, the confidence of beliefs.

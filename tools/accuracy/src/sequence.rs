@@ -83,7 +83,7 @@ impl Motion {
     }
 }
 
-/// `frames` frames of a robot that drives through `world`.
+/// `frames` frames of a robot with this configuration that drives through `world`.
 ///
 /// # Errors
 /// When the robot or its devices fail.
@@ -92,10 +92,9 @@ pub fn simulated(
     motion: Motion,
     frames: u64,
     seed: u64,
-    people: usize,
+    config: &Config,
 ) -> Result<Sequence> {
-    let mut config = Config::default();
-    config.simulator.nuisances.people = people;
+    let mut config = config.clone();
     // The pose of a view is the true pose of its exposure.
     config.simulator.odometry = Odometry::Perfect;
     let options = simulation::simulated_robot(&config, seed, None);
