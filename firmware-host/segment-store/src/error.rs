@@ -82,6 +82,9 @@ pub enum StoreError {
     /// An object store rejected a request; `detail` includes what to do about it.
     #[error("{url}: {detail}")]
     ObjectStore { url: String, detail: String },
+    /// A segment that the source cannot read, unlike others: which one, why, and what to do.
+    #[error("{0}")]
+    Unread(String),
     /// The digest of the received bytes differs from that of the sender.
     #[error(
         "{name} arrived with another digest than it was sent with and was deleted; pull again; check the link and the memory"
@@ -110,6 +113,7 @@ impl StoreError {
                 ErrorKind::Disk
             }
             Self::Refused { .. }
+            | Self::Unread(_)
             | Self::Protocol { .. }
             | Self::Name(_)
             | Self::Silent { .. }

@@ -18,6 +18,7 @@ use progress::Display;
 use robot::{Outcome, Robot};
 use segment_store::source::{Location, Spec};
 use segment_store::{ErrorKind, StoreError};
+use store::Keys;
 
 /// An error that needs the operator's attention.
 const FAILED: u8 = 1;
@@ -53,14 +54,16 @@ fn code_of(error: &StoreError) -> u8 {
 /// Pulls from every source in a thread of its own. Returns the most serious exit code.
 fn run(options: &Options) -> Result<u8, StoreError> {
     let specs = specs(options)?;
+    let keys = keys(options, &specs)?;
     let display = Display::new(options.json);
     let worst = Mutex::new(0);
     std::thread::scope(|scope| {
         for spec in &specs {
             let display = &display;
+            let keys = &keys;
             let worst = &worst;
             scope.spawn(move || {
-                let code = follow(&mut Robot::new(spec, options), options, display);
+                let code = follow(&mut Robot::new(spec, options, keys), options, display);
                 if let Ok(mut worst) = worst.lock() {
                     // Retrying later helps only when nothing else is wrong.
                     *worst =
@@ -100,6 +103,23 @@ fn specs(options: &Options) -> Result<Vec<Spec>, StoreError> {
         return Err(StoreError::Usage(format!("{to}: --as can only write into a directory")));
     }
     Ok(specs)
+}
+
+/// The keys that segments are encrypted to or decrypted with. Refuses keys that would not be used, because a segment would then
+/// stay as it is.
+fn keys(options: &Options, specs: &[Spec]) -> Result<Keys, StoreError> {
+    if !options.encrypt_to.is_empty() && options.destination_store().is_none() {
+        return Err(StoreError::Usage(format!(
+            "--encrypt-to encrypts what an object store gets, but {} is a directory; give s3://BUCKET/PREFIX as DEST, or leave it out",
+            options.destination().display()
+        )));
+    }
+    let is_store = |spec: &Spec| matches!(spec.location, Location::ObjectStore(_));
+    if !options.identity.is_empty() && !specs.iter().any(is_store) {
+        let text = "--identity decrypts what comes from an object store, but no SOURCE is one; leave it out";
+        return Err(StoreError::Usage(text.to_owned()));
+    }
+    Keys::read(&options.encrypt_to, &options.identity)
 }
 
 /// Pulls once or, with --follow, repeatedly. Returns the exit code.

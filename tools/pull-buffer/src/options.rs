@@ -52,6 +52,19 @@ pub struct Options {
     /// Also export every run in another format, to DEST/NAME/FORMAT/RUN.
     #[arg(long = "as", value_enum, conflicts_with = "follow", value_name = "FORMAT")]
     pub layout: Option<Layout>,
+    /// Encrypt the segments that are uploaded to an object store.
+    ///
+    /// KEY is a public key of age (age1...), or a file with one in each line; `age-keygen -o key.txt` makes one. Can be given
+    /// several times: the secret key of each alone decrypts the segments. Segments that are in the store already stay as they
+    /// are.
+    #[arg(long, value_name = "KEY")]
+    pub encrypt_to: Vec<String>,
+    /// Decrypt the segments that are pulled from an object store.
+    ///
+    /// FILE contains a secret key of age, as `age-keygen -o FILE` writes it. Can be given several times. Encrypted segments that
+    /// no key decrypts are named and left out, and the exit code is 1.
+    #[arg(long, value_name = "FILE")]
+    pub identity: Vec<PathBuf>,
     /// Do not tell the robot which segments were copied.
     ///
     /// By default the robot writes a .pulled marker beside each copied segment, and its quota deletes marked segments first.

@@ -10,7 +10,7 @@ use segment_store::{ErrorKind, StoreError};
 
 use crate::options::{Layout, Options};
 use crate::progress::{Bar, Display};
-use crate::store::Bucket;
+use crate::store::{Bucket, Keys};
 
 /// The result of a pull, including all its retries.
 pub struct Outcome {
@@ -25,6 +25,7 @@ pub struct Outcome {
 pub struct Robot<'a> {
     spec: &'a Spec,
     options: &'a Options,
+    keys: &'a Keys,
     /// The connection. With --follow it is kept between pulls, as long as it works.
     source: Option<Box<dyn Source>>,
     /// The destination, if it is an object store.
@@ -38,10 +39,11 @@ pub struct Robot<'a> {
 }
 
 impl<'a> Robot<'a> {
-    pub fn new(spec: &'a Spec, options: &'a Options) -> Self {
+    pub fn new(spec: &'a Spec, options: &'a Options, keys: &'a Keys) -> Self {
         Self {
             spec,
             options,
+            keys,
             source: None,
             store: None,
             reached: false,
@@ -109,8 +111,8 @@ impl<'a> Robot<'a> {
     ) -> Result<Report, StoreError> {
         let to_store = self.options.destination_store();
         if let (Some(url), None) = (to_store, &self.store) {
-            self.store =
-                Some(Bucket::open(url, self.options.stall_s)?.with_subfolder(&self.spec.name));
+            let store = Bucket::open(url, self.options.stall_s)?.with_keys(self.keys);
+            self.store = Some(store.with_subfolder(&self.spec.name));
         }
         let mut directory = match to_store {
             Some(_) => None,
@@ -145,7 +147,9 @@ impl<'a> Robot<'a> {
                 };
                 Box::new(Ssh::connect(host, path, &options)?)
             }
-            Location::ObjectStore(url) => Box::new(Bucket::open(url, self.options.stall_s)?),
+            Location::ObjectStore(url) => {
+                Box::new(Bucket::open(url, self.options.stall_s)?.with_keys(self.keys))
+            }
         })
     }
 

@@ -1,12 +1,14 @@
 //! Object stores, if this program was built with the feature `object-store`.
 
 #[cfg(feature = "object-store")]
-pub use segment_store::bucket::Bucket;
+pub use segment_store::bucket::{Bucket, Keys};
 #[cfg(not(feature = "object-store"))]
-pub use unsupported::Bucket;
+pub use unsupported::{Bucket, Keys};
 
 #[cfg(not(feature = "object-store"))]
 mod unsupported {
+    use std::path::PathBuf;
+
     use hal::Clock;
     use segment_store::pull::{Options, Progress, Report};
     use segment_store::source::{Listing, Source};
@@ -16,9 +18,22 @@ mod unsupported {
     #[allow(dead_code, reason = "never constructed")]
     pub struct Bucket;
 
+    /// A placeholder for the keys of encrypted segments, of which there are none.
+    #[derive(Default)]
+    pub struct Keys;
+
     fn unsupported() -> StoreError {
         let text = "this program was built without support for object stores; build it with --features object-store";
         StoreError::Usage(text.to_owned())
+    }
+
+    impl Keys {
+        pub fn read(recipients: &[String], identities: &[PathBuf]) -> Result<Self, StoreError> {
+            match (recipients, identities) {
+                ([], []) => Ok(Self),
+                _ => Err(unsupported()),
+            }
+        }
     }
 
     impl Bucket {
@@ -27,6 +42,10 @@ mod unsupported {
         }
 
         pub fn with_subfolder(self, _name: &str) -> Self {
+            self
+        }
+
+        pub fn with_keys(self, _keys: &Keys) -> Self {
             self
         }
 

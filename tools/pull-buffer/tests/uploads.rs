@@ -12,7 +12,7 @@ mod common;
 
 use std::fs;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::Instant;
 
 use common::{assert_same, robot, stderr_of, unmark};
@@ -123,4 +123,70 @@ fn segments_uploaded_by_a_robot_are_pulled_by_a_workstation() {
         Command::new(env!("CARGO_BIN_EXE_pull-buffer")).arg(from).arg(&here).output().unwrap();
     assert!(output.status.success(), "{}", stderr_of(&output));
     assert_same(robot.path(), &here, SEGMENTS);
+}
+
+/// A key as `age-keygen` makes it: that of the age crate's own tests.
+const PUBLIC: &str = "age1t7rxyev2z3rw82stdlrrepyc39nvn86l5078zqkf5uasdy86jp6svpy7pa";
+const SECRET: &str = "AGE-SECRET-KEY-1GQ9778VQXMMJVE8SK7J6VT8UJ4HDQAJUVSFCWCM02D8GEWQ72PVQ2Y5J33";
+
+fn pull_buffer(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_pull-buffer")).args(arguments).output().unwrap()
+}
+
+#[test]
+fn encrypted_segments_need_their_key_and_its_absence_is_an_error_that_names_the_way() {
+    let robot = robot(SEGMENTS, 1000);
+    let dir = tempdir().unwrap();
+    let store = dir.path().join("store");
+    let here = dir.path().join("here");
+    let key = dir.path().join("key.txt");
+    fs::create_dir(&store).unwrap();
+    fs::write(&key, SECRET).unwrap();
+    let output = upload(robot.path(), &store).args(["--encrypt-to", PUBLIC]).output().unwrap();
+    assert!(output.status.success(), "{}", stderr_of(&output));
+    for number in 0..SEGMENTS {
+        let object = store.join(format!("robot/run/recording_{number:04}.mcap"));
+        assert!(!object.exists());
+        // A segment without its end counts as still being written for half a minute.
+        let encrypted = fs::File::open(object.with_extension("mcap.age")).unwrap();
+        encrypted.set_modified(std::time::UNIX_EPOCH).unwrap();
+    }
+    let from = format!("file://{}/robot", store.display());
+    let output = pull_buffer(&[&from, here.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = stderr_of(&output);
+    for number in 0..SEGMENTS {
+        let why = format!("not pulled: run/recording_{number:04}.mcap.age is encrypted");
+        assert!(said.contains(&why) && said.contains("--identity key.txt"), "{said}");
+    }
+    let identity = format!("--identity={}", key.display());
+    let output = pull_buffer(&[&from, here.to_str().unwrap(), &identity]);
+    assert!(output.status.success(), "{}", stderr_of(&output));
+    assert_same(robot.path(), &here, SEGMENTS);
+}
+
+#[test]
+fn keys_that_would_not_be_used_or_are_none_are_refused_before_anything_is_copied() {
+    let robot = robot(1, 1000);
+    let dir = tempdir().unwrap();
+    let from = format!("robot={}", robot.path().display());
+    let from = from.as_str();
+    let here = dir.path().join("here");
+    let to = here.to_str().unwrap();
+    let store = format!("file://{}", dir.path().display());
+    let in_store = format!("robot={store}");
+    for (arguments, why) in [
+        ([from, to, "--encrypt-to", PUBLIC], "is a directory"),
+        ([from, to, "--identity", "key.txt"], "no SOURCE is one"),
+        ([from, &store, "--identity", "key.txt"], "no SOURCE is one"),
+        ([from, &store, "--encrypt-to", "age1wrong"], "no public key of age"),
+        ([from, &store, "--encrypt-to", SECRET], "age-keygen -y"),
+        ([&in_store, to, "--identity", "nosuch.txt"], "nosuch.txt"),
+    ] {
+        let output = pull_buffer(&arguments);
+        let said = stderr_of(&output);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(why) && !said.contains(SECRET), "{said}");
+    }
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
 }

@@ -5,16 +5,30 @@
 //! PREFIX/RUN/recording_0007.mcap.blake3    its digest in the format of b3sum, written by the uploading program
 //! PREFIX/RUN/recording_0007.mcap.pulled    a workstation has a copy: digest, size and modification time
 //! PREFIX/RUN/recording_0007.mcap.keep      a marker for operators and for --order valuable
+//! PREFIX/RUN/recording_0007.mcap.age       an encrypted segment; what lies beside it is called recording_0007.mcap.age.blake3 etc.
 //! ```
 //!
 //! Object stores do not compute BLAKE3 digests. A segment with a `.blake3` object is pulled as from a robot: the received bytes
 //! must have that digest. Without one, every request must return the same version of the object (its `ETag`), and the segment's
 //! own checksums must be right.
+//!
+//! An encrypted segment is an age file. The `.blake3` object beside it has two lines: the digest of the object, and that of the
+//! segment without encryption, by which the uploading program sees that the segment is there. If there are an encrypted and a plain
+//! object of one segment, the newer one counts.
 
+mod decrypt;
+mod download;
+mod encrypt;
 mod error;
 mod fetch;
+mod keys;
+mod layout;
 mod object;
+mod object_file;
+mod object_name;
+mod object_sink;
 mod open;
+mod unread;
 mod upload;
 
 use std::collections::BTreeMap;
@@ -26,7 +40,10 @@ use object_store::path::Path;
 use object_store::{Error, ObjectStore, ObjectStoreExt};
 use tokio::runtime::Runtime;
 
+pub use keys::Keys;
+
 use object::{InspectedSegment, ObjectVersion, SegmentObjects};
+use object_name::{ObjectName, is_of_segment};
 
 use crate::source::{Listing, Source};
 use crate::wire::{Refusal, RefusalKind};
@@ -46,6 +63,7 @@ pub struct Bucket {
     runtime: Runtime,
     store: Arc<dyn ObjectStore>,
     prefix: Path,
+    keys: Keys,
     /// The segments of the last listing. A segment that has not changed is not inspected again.
     inspected: BTreeMap<Name, InspectedSegment>,
     /// The size and modification time of the robot's segments that this program has uploaded.
@@ -80,9 +98,16 @@ impl Bucket {
             runtime,
             store,
             prefix,
+            keys: Keys::default(),
             inspected: BTreeMap::new(),
             uploaded: BTreeMap::new(),
         })
+    }
+
+    /// The same store, into which segments are encrypted, or from which they are decrypted, with `keys`.
+    #[must_use]
+    pub fn with_keys(self, keys: &Keys) -> Self {
+        Self { keys: keys.clone(), ..self }
     }
 
     fn explain(&self, error: &Error, doing: &str) -> StoreError {
@@ -136,33 +161,41 @@ impl Bucket {
     }
 }
 
-/// Whether an object is a segment, or its digest or a marker beside it.
-fn is_of_segment(path: &str) -> bool {
-    let segment = path.rsplit_once('.').map(|(segment, _)| segment);
-    Name::parse(path).is_ok() || segment.is_some_and(|segment| Name::parse(segment).is_ok())
-}
-
 fn too_many() -> String {
     format!(
         "there are more than {MOST_OBJECTS} objects of segments under this prefix; give the prefix of one robot, or move old runs elsewhere"
     )
 }
 
-impl Source for Bucket {
-    fn list(&mut self) -> Result<Listing, StoreError> {
+impl Bucket {
+    /// The segments that are listed, and the objects beside them. Of two objects of a segment, the newer one counts.
+    fn segments(objects: &BTreeMap<String, ObjectVersion>) -> BTreeMap<Name, SegmentObjects> {
+        let mut segments = BTreeMap::<Name, SegmentObjects>::new();
+        for (text, version) in objects {
+            let Some(name) = ObjectName::parse(text) else { continue };
+            let other = segments.get(&name.segment);
+            // The encrypted object comes behind the plain one.
+            if other.is_none_or(|other| other.version.modified_ns() <= version.modified_ns()) {
+                let segment = name.segment.clone();
+                segments.insert(segment, SegmentObjects::new(name, version, objects));
+            }
+        }
+        segments
+    }
+
+    /// Lists the segments, and inspects those that are new or have changed.
+    fn inspect_all(&mut self) -> Result<(), StoreError> {
         let objects = self.list_objects()?;
         let mut known = std::mem::take(&mut self.inspected);
         let mut new = Vec::new();
-        for (text, version) in &objects {
-            let Ok(name) = Name::parse(text) else { continue };
-            let listed = SegmentObjects::new(name, version, &objects);
-            match known.remove(&listed.name).filter(|segment| segment.is_current(&listed)) {
-                Some(segment) => drop(self.inspected.insert(listed.name, segment)),
+        for (name, listed) in Self::segments(&objects) {
+            match known.remove(&name).filter(|segment| segment.is_current(&listed)) {
+                Some(segment) => drop(self.inspected.insert(name, segment)),
                 None => new.push(listed),
             }
         }
         let inspections = futures_util::stream::iter(new)
-            .map(|listed| listed.inspect(self.store.as_ref()))
+            .map(|listed| listed.inspect(self.store.as_ref(), &self.keys))
             .buffer_unordered(PARALLEL_INSPECTIONS);
         let inspected = self
             .runtime
@@ -171,11 +204,20 @@ impl Source for Bucket {
         for segment in inspected.into_iter().flatten() {
             self.inspected.insert(segment.entry.name.clone(), segment);
         }
+        Ok(())
+    }
+}
+
+impl Source for Bucket {
+    fn list(&mut self) -> Result<Listing, StoreError> {
+        self.inspect_all()?;
+        let unread = self.inspected.values().filter_map(|segment| segment.unread.clone()).collect();
+        let readable = self.inspected.values().filter(|segment| segment.unread.is_none());
+        let entries = readable.map(|segment| segment.entry.clone()).collect();
         let now_ns = SystemTime::now()
             .duration_since(SystemTime::UNIX_EPOCH)
             .map_or(0, |d| d.as_nanos() as u64);
-        let entries = self.inspected.values().map(|segment| segment.entry.clone()).collect();
-        Ok(Listing { entries: Catalogue::new(entries, now_ns).entries, unread: Vec::new() })
+        Ok(Listing { entries: Catalogue::new(entries, now_ns).entries, unread })
     }
 
     fn fetch(
@@ -187,34 +229,35 @@ impl Source for Bucket {
         let Some(segment) = self.inspected.get(name) else {
             return Err(self.refused(RefusalKind::NotThere, format!("{name} is not there")));
         };
+        if let Some(why) = &segment.unread {
+            return Err(StoreError::Unread(why.clone()));
+        }
         let from = fetch::first_byte(segment, &local);
         to.start(from, segment.entry.bytes)?;
-        let mut at = from;
-        let mut pieces = Box::pin(fetch::pieces(self.store.as_ref(), &segment.version, from));
-        while let Some(piece) = self.runtime.block_on(pieces.next()) {
-            let piece = piece.map_err(|error| match error {
-                Error::Precondition { .. } | Error::NotFound { .. } => self.refused(
-                    RefusalKind::Changed,
-                    format!("{name} was replaced or removed while it was read; pull again"),
-                ),
-                error => self.explain(&error, "read"),
-            })?;
-            for bytes in piece.chunks(fetch::SINK_PIECE) {
-                to.data(at, bytes)?;
-                at += bytes.len() as u64;
-            }
+        let digest = segment.digest;
+        if from == segment.entry.bytes {
+            return Ok(digest);
         }
-        Ok(segment.digest)
+        let fetched = match segment.layout {
+            Some(layout) => self.fetch_encrypted(segment, layout, from, to),
+            None => self.fetch_plain(segment, from, to),
+        };
+        if let Err(StoreError::Unread(why)) = fetched {
+            return Err(self.damaged(name, why));
+        }
+        fetched.map(|()| digest)
     }
 
     fn mark_pulled(&mut self, name: &Name, digest: &Digest) -> Result<(), StoreError> {
-        let path = self.path_of(name.as_str());
-        let now = self.runtime.block_on(self.store.head(&path)).map(ObjectVersion::new);
-        let listed = self.inspected.get(name).map(|segment| &segment.version);
-        match now {
-            Ok(now) if Some(&now) == listed => {
-                let text = Pulled::text(digest, now.bytes(), now.modified_ns());
-                let mark = self.path_of(&format!("{name}{PULLED}"));
+        let Some(segment) = self.inspected.get(name) else {
+            return Err(self.refused(RefusalKind::NotThere, format!("{name} is not there")));
+        };
+        let object = segment.objects.name.to_string();
+        let now = self.runtime.block_on(self.store.head(&self.path_of(&object)));
+        match now.map(ObjectVersion::new) {
+            Ok(now) if now == segment.objects.version => {
+                let text = Pulled::text(digest, segment.entry.bytes, now.modified_ns());
+                let mark = self.path_of(&format!("{object}{PULLED}"));
                 let put = self.runtime.block_on(self.store.put(&mark, text.into_bytes().into()));
                 // A refusal and not an error: pulling is possible with read-only credentials.
                 put.map(drop).map_err(|error| match error {

@@ -3,8 +3,13 @@
 use std::collections::BTreeMap;
 use std::io;
 
-use crate::{Bytes, Digest, Entry, KEEP, Name, PULLED, Pulled, State};
+use crate::{Bytes, Digest, Entry, KEEP, PULLED, Pulled, State};
 use object_store::{Error, GetOptions, GetRange, ObjectMeta, ObjectStore};
+
+use super::keys::Keys;
+use super::layout::Layout;
+use super::object_name::ObjectName;
+use super::{decrypt, unread};
 
 /// Suffix of the object with a segment's digest.
 pub(crate) const DIGEST: &str = ".blake3";
@@ -13,7 +18,9 @@ pub(crate) const DIGEST: &str = ".blake3";
 const TAIL: u64 = 64 << 10;
 /// Enough for the longest index.
 const LONG_TAIL: u64 = 17 << 20;
-/// Markers and digests are one line.
+/// Enough for the header of an encrypted segment: one for 100 recipients has 10 KB.
+const HEAD: u64 = 16 << 10;
+/// Markers are one line, digests at most two.
 const MAX_LINE: u64 = 512;
 
 /// One version of an object.
@@ -45,6 +52,10 @@ impl ObjectVersion {
         store: &dyn ObjectStore,
         range: std::ops::Range<u64>,
     ) -> Result<bytes::Bytes, Error> {
+        if range.is_empty() {
+            // No range of HTTP is empty.
+            return Ok(bytes::Bytes::new());
+        }
         let mut options = GetOptions::default().with_range(Some(GetRange::Bounded(range.clone())));
         options.if_match.clone_from(&self.0.e_tag);
         let path = &self.0.location;
@@ -75,26 +86,32 @@ impl ObjectVersion {
 }
 
 /// A segment and the objects beside it, as listed.
-pub(crate) struct SegmentObjects {
-    pub name: Name,
-    version: ObjectVersion,
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct SegmentObjects {
+    pub name: ObjectName,
+    pub version: ObjectVersion,
     digest: Option<ObjectVersion>,
     marker: Option<ObjectVersion>,
     keep: bool,
 }
 
 /// A segment whose end has been read.
-pub(crate) struct InspectedSegment {
+pub(super) struct InspectedSegment {
+    /// Size, state and times are those of the segment without encryption.
     pub entry: Entry,
-    pub version: ObjectVersion,
-    /// The digest that the uploading or an earlier pulling program computed.
+    pub objects: SegmentObjects,
+    /// The digest of the segment without encryption, which the uploading or an earlier pulling program computed.
     pub digest: Option<Digest>,
-    digest_object: Option<ObjectVersion>,
-    marker_object: Option<ObjectVersion>,
+    /// Where the contents of an encrypted segment are; `None` for others, and for one that is damaged.
+    pub layout: Option<Layout>,
+    /// Why an encrypted segment cannot be pulled, and what to do.
+    pub unread: Option<String>,
+    /// An encrypted segment arrived damaged once.
+    pub arrived_damaged: bool,
 }
 
 fn beside(
-    name: &Name,
+    name: &ObjectName,
     suffix: &str,
     all: &BTreeMap<String, ObjectVersion>,
 ) -> Option<ObjectVersion> {
@@ -104,16 +121,104 @@ fn beside(
 impl InspectedSegment {
     /// Whether this inspection still describes the listed objects.
     pub fn is_current(&self, listed: &SegmentObjects) -> bool {
-        self.version == listed.version
-            && self.digest_object == listed.digest
-            && self.marker_object == listed.marker
-            && self.entry.keep == listed.keep
-            && self.entry.state != State::Open
+        self.objects == *listed && self.entry.state != State::Open
+    }
+
+    /// Reads the end of a segment.
+    async fn read_end(&mut self, store: &dyn ObjectStore) -> Result<(), Error> {
+        let version = &self.objects.version;
+        for tail in [TAIL, LONG_TAIL] {
+            let start = version.bytes().saturating_sub(tail);
+            let bytes = version.get(store, start..version.bytes()).await?;
+            let inspected = self.entry.inspect(&Tail { start, bytes });
+            if inspected.is_ok() || self.entry.state == State::Cut {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the beginning of an encrypted segment and, with a key that decrypts it, its end.
+    async fn read_encrypted(&mut self, store: &dyn ObjectStore, keys: &Keys) -> Result<(), Error> {
+        let version = &self.objects.version;
+        let head = version.get(store, 0..version.bytes().min(HEAD)).await?;
+        self.layout = Layout::of(&head, version.bytes());
+        let Some(layout) = self.layout else {
+            self.unread =
+                Some(unread::damaged(&self.objects.name, "its header or its length is wrong"));
+            return Ok(());
+        };
+        self.entry.bytes = layout.plain_bytes;
+        if keys.identities.is_empty() {
+            self.unread = Some(unread::no_identity(&self.objects.name));
+            return Ok(());
+        }
+        self.read_encrypted_end(store, keys, layout, &head).await
+    }
+
+    async fn read_encrypted_end(
+        &mut self,
+        store: &dyn ObjectStore,
+        keys: &Keys,
+        layout: Layout,
+        head: &[u8],
+    ) -> Result<(), Error> {
+        let version = &self.objects.version;
+        for tail in [TAIL, LONG_TAIL] {
+            let start = layout.plain_bytes.saturating_sub(tail);
+            let tail_start = layout.chunk_of(start);
+            let tail = version.get(store, tail_start..version.bytes()).await?;
+            let file = decrypt::Ends { head, tail: &tail, tail_start, at: 0 };
+            let bytes = match decrypt::end(file, start, keys) {
+                Ok(bytes) => bytes.into(),
+                Err(error) => {
+                    self.unread = Some(unread::undecrypted(&self.objects.name, &error));
+                    return Ok(());
+                }
+            };
+            let inspected = self.entry.inspect(&Tail { start, bytes });
+            if inspected.is_ok() || self.entry.state == State::Cut {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the marker and the digest beside a segment.
+    async fn read_beside(&mut self, store: &dyn ObjectStore) -> Result<(), Error> {
+        if let Some(marker) = &self.objects.marker {
+            let text = marker.line(store).await?.unwrap_or_default();
+            self.entry.pulled = Pulled::parse(&text, self.entry.bytes, self.entry.modified_ns);
+        }
+        self.digest = match &self.objects.digest {
+            Some(digest) => {
+                let text = digest.line(store).await?.unwrap_or_default();
+                digest_in(&text, &self.objects.name)
+            }
+            // The marker was written for exactly this version.
+            None => self.entry.pulled_digest(),
+        };
+        Ok(())
     }
 }
 
+/// The digest of a segment without encryption, in lines as b3sum writes them. Beside an encrypted segment, the line that names the
+/// segment without `.age` has it.
+fn digest_in(text: &str, name: &ObjectName) -> Option<Digest> {
+    let mut lines = text.lines().map(str::split_whitespace);
+    let mut words = match name.is_encrypted {
+        true => lines.find(|words| words.clone().nth(1) == Some(name.segment.file()))?,
+        false => lines.next()?,
+    };
+    words.next()?.parse().ok()
+}
+
 impl SegmentObjects {
-    pub fn new(name: Name, version: &ObjectVersion, all: &BTreeMap<String, ObjectVersion>) -> Self {
+    pub fn new(
+        name: ObjectName,
+        version: &ObjectVersion,
+        all: &BTreeMap<String, ObjectVersion>,
+    ) -> Self {
         // A digest that is older than the segment belongs to an earlier version of it.
         let digest = beside(&name, DIGEST, all)
             .filter(|digest| digest.modified_ns() >= version.modified_ns());
@@ -128,46 +233,39 @@ impl SegmentObjects {
 
     /// Reads the end of the segment and the objects beside it. `None` when the segment was deleted or replaced since it was
     /// listed.
-    pub async fn inspect(self, store: &dyn ObjectStore) -> Result<Option<InspectedSegment>, Error> {
-        match self.try_inspect(store).await {
+    pub async fn inspect(
+        self,
+        store: &dyn ObjectStore,
+        keys: &Keys,
+    ) -> Result<Option<InspectedSegment>, Error> {
+        match self.try_inspect(store, keys).await {
             Err(Error::NotFound { .. } | Error::Precondition { .. }) => Ok(None),
             inspected => inspected.map(Some),
         }
     }
 
-    async fn try_inspect(self, store: &dyn ObjectStore) -> Result<InspectedSegment, Error> {
-        let mut entry = Entry::new(self.name, self.version.bytes(), self.version.modified_ns());
+    async fn try_inspect(
+        self,
+        store: &dyn ObjectStore,
+        keys: &Keys,
+    ) -> Result<InspectedSegment, Error> {
+        let name = self.name.segment.clone();
+        let mut entry = Entry::new(name, self.version.bytes(), self.version.modified_ns());
         entry.keep = self.keep;
-        for tail in [TAIL, LONG_TAIL] {
-            let start = entry.bytes.saturating_sub(tail);
-            if entry.bytes == 0 {
-                break;
-            }
-            let bytes = self.version.get(store, start..entry.bytes).await?;
-            let inspected = entry.inspect(&Tail { start, bytes });
-            if inspected.is_ok() || entry.state == State::Cut {
-                break;
-            }
-        }
-        if let Some(marker) = &self.marker {
-            let text = marker.line(store).await?.unwrap_or_default();
-            entry.pulled = Pulled::parse(&text, entry.bytes, entry.modified_ns);
-        }
-        let digest = match &self.digest {
-            Some(digest) => digest
-                .line(store)
-                .await?
-                .and_then(|line| line.split_whitespace().next()?.parse().ok()),
-            // The marker was written for exactly this version.
-            None => entry.pulled_digest(),
-        };
-        Ok(InspectedSegment {
+        let mut segment = InspectedSegment {
             entry,
-            version: self.version,
-            digest,
-            digest_object: self.digest,
-            marker_object: self.marker,
-        })
+            objects: self,
+            digest: None,
+            layout: None,
+            unread: None,
+            arrived_damaged: false,
+        };
+        match segment.objects.name.is_encrypted {
+            true => segment.read_encrypted(store, keys).await?,
+            false => segment.read_end(store).await?,
+        }
+        segment.read_beside(store).await?;
+        Ok(segment)
     }
 }
 

@@ -1,21 +1,16 @@
-//! Uploads a robot's segments into the object store, each with its digest beside it.
+//! Uploads a robot's segments into the object store, each with its digest beside it, and encrypts them if there are recipients.
 
 use futures_util::TryStreamExt;
 use hal::Clock;
-use object_store::path::Path;
-use object_store::{Error, ObjectStoreExt, WriteMultipart};
+use object_store::{Error, ObjectStoreExt};
 
 use super::object::{DIGEST, InspectedSegment};
+use super::object_name::ObjectName;
+use super::object_sink::{ObjectSink, Sent};
 use super::{Bucket, fetch};
 use crate::pull::{Options, Progress, RateLimiter, Report};
 use crate::source::Source;
-use crate::{Digest, Entry, FileSink, Hasher, LocalCopy, Name, State, StoreError};
-
-/// The size of a part. S3 accepts at most 10,000 parts of at least 5 MiB; with this size an object can have 80 GB.
-const PART: usize = 8 << 20;
-
-/// The number of parts in flight, besides the one that is being filled.
-const AHEAD: usize = 3;
+use crate::{Digest, Entry, Hasher, LocalCopy, State, StoreError};
 
 impl Bucket {
     /// Uploads every segment of `source` that is closed or cut and not in the store yet, then tells the robot. A segment is in the
@@ -86,7 +81,7 @@ impl Bucket {
         let mut there_bytes: u64 = there.iter().map(|entry| entry.bytes).sum();
         report.there = there.len() as u64;
         if !missing.is_empty() {
-            self.list()?;
+            self.inspect_all()?;
         }
         missing.retain(|entry| {
             let digest =
@@ -114,92 +109,121 @@ impl Bucket {
         report: &mut Report,
     ) -> Result<Digest, StoreError> {
         let there = self.inspected.get(&entry.name);
-        let local = match there.filter(|there| there.entry.bytes == entry.bytes) {
-            Some(there) => LocalCopy { bytes: entry.bytes, digest: self.digest_of(there)? },
+        let there = there.filter(|there| there.entry.bytes == entry.bytes);
+        let local = match there {
+            Some(there) => self.copy_of(there)?,
             None => LocalCopy::none(),
         };
-        let mut object = Object {
-            bucket: self,
-            name: &entry.name,
-            hasher: Hasher::default(),
-            parts: None,
-            progress,
-            limiter,
-        };
+        let is_encrypted = !self.keys.recipients.is_empty();
+        let name = ObjectName { segment: entry.name.clone(), is_encrypted };
+        let mut object = ObjectSink::new(self, &name, progress, limiter);
         let sent_digest = source.fetch(&entry.name, local, &mut object);
-        let Object { hasher, parts, .. } = object;
-        let is_new = parts.is_some();
-        let digest = if is_new { hasher.digest() } else { local.digest };
-        let outcome = match sent_digest {
-            Ok(sent_digest) if sent_digest == Some(digest) => Ok(digest),
-            Ok(_) => Err(StoreError::Digest { name: entry.name.to_string() }),
-            Err(error) => Err(error),
+        let sent = object.end();
+        let digest = match &sent {
+            Some(sent) => sent.plain_digest,
+            None => local.digest,
         };
-        if let Some(parts) = parts {
-            report.bytes += hasher.bytes();
-            self.finish(&entry.name, parts, outcome.is_ok().then(|| hasher.bytes()))?;
+        let outcome = sent_digest.and_then(|sent_digest| match sent_digest {
+            Some(sent_digest) if sent_digest == digest => Ok(()),
+            _ => Err(StoreError::Digest { name: entry.name.to_string() }),
+        });
+        match (sent, there) {
+            (Some(sent), _) => {
+                report.bytes += sent.plain_bytes;
+                self.finish(&name, sent, outcome)?;
+            }
+            (None, Some(there)) if there.digest.is_none() => {
+                outcome?;
+                self.put_digest(&there.objects.name, &digest, &digest)?;
+            }
+            (None, _) => return outcome.map(|()| digest),
         }
-        if outcome.is_ok() && (is_new || there.is_none_or(|there| there.digest.is_none())) {
-            let line = format!("{digest}  {}\n", entry.name.file());
-            let path = self.path_of(&format!("{}{DIGEST}", entry.name));
-            let put = self.runtime.block_on(self.store.put(&path, line.into_bytes().into()));
-            put.map_err(|error| self.explain(&error, "write"))?;
-            report.files += 1;
-            report.cut += u64::from(entry.state == State::Cut);
-            progress.file_completed(&entry.name, &digest);
-        }
-        outcome
+        report.files += 1;
+        report.cut += u64::from(entry.state == State::Cut);
+        progress.file_completed(&entry.name, &digest);
+        Ok(digest)
     }
 
-    /// The digest of an object. The object is read when there is none beside it: an upload may have ended between object and
-    /// digest, or another program may have uploaded the object.
-    fn digest_of(&self, there: &InspectedSegment) -> Result<Digest, StoreError> {
+    /// What the store has of a segment. The object is read when there is no digest beside it: an upload may have ended between object
+    /// and digest, or another program may have uploaded the object. An encrypted one cannot be read here, and is sent again.
+    fn copy_of(&self, there: &InspectedSegment) -> Result<LocalCopy, StoreError> {
+        let bytes = there.entry.bytes;
         if let Some(digest) = there.digest {
-            return Ok(digest);
+            return Ok(LocalCopy { bytes, digest });
+        }
+        if there.objects.name.is_encrypted {
+            return Ok(LocalCopy::none());
         }
         let mut hasher = Hasher::default();
-        let read = fetch::pieces(self.store.as_ref(), &there.version, 0).try_for_each(|piece| {
+        let version = &there.objects.version;
+        let read = fetch::pieces(self.store.as_ref(), version, 0).try_for_each(|piece| {
             hasher.update(&piece);
             futures_util::future::ready(Ok(()))
         });
         self.runtime.block_on(read).map_err(|error| self.explain(&error, "read"))?;
-        Ok(hasher.digest())
+        Ok(LocalCopy { bytes, digest: hasher.digest() })
     }
 
-    /// Completes an object of `bytes` bytes, or deletes its parts when `bytes` is `None`. An object that had the same name before is
-    /// kept under another name.
+    /// Completes an object and writes its digest, or deletes its parts when the `outcome` is an error.
     fn finish(
         &self,
-        name: &Name,
-        parts: WriteMultipart,
-        bytes: Option<u64>,
+        name: &ObjectName,
+        sent: Sent,
+        outcome: Result<(), StoreError>,
     ) -> Result<(), StoreError> {
-        let path = self.path_of(name.as_str());
-        let Some(bytes) = bytes else {
-            // The caller returns the error that ended the upload. If this request fails as well, the store's own rules delete the
-            // parts.
-            let _ = self.runtime.block_on(parts.abort());
-            return Ok(());
+        let stored = match outcome.and(sent.stored) {
+            Ok(stored) => stored,
+            Err(error) => {
+                // If this request fails as well, the store's own rules delete the parts.
+                let _ = self.runtime.block_on(sent.parts.abort());
+                return Err(error);
+            }
         };
         let finished = self.runtime.block_on(async {
-            if let Some(before) = self.inspected.get(name) {
-                let suffix = before.digest.map_or_else(
-                    || before.version.modified_ns().to_string(),
-                    |digest| digest.short(),
-                );
-                self.store.copy(&path, &self.path_of(&format!("{name}.{suffix}"))).await?;
-            }
-            parts.finish().await?;
-            self.store.head(&path).await
+            self.keep_before(name).await?;
+            sent.parts.finish().await?;
+            self.store.head(&self.path_of(&name.to_string())).await
         });
         let written = finished.map_err(|error| self.explain(&error, "write"))?.size;
-        if written == bytes {
-            return Ok(());
+        if written != stored.bytes {
+            let detail = format!(
+                "{name} has {written} bytes there, but {} were sent; check the store, and upload again",
+                stored.bytes
+            );
+            return Err(StoreError::ObjectStore { url: self.url.clone(), detail });
         }
-        let detail = format!(
-            "{name} has {written} bytes there, but {bytes} were sent; check the store, and upload again"
+        self.put_digest(name, &stored.digest, &sent.plain_digest)
+    }
+
+    /// Keeps an object that has the name of a new one under another name.
+    async fn keep_before(&self, name: &ObjectName) -> Result<(), Error> {
+        let before = self.inspected.get(&name.segment);
+        let Some(before) = before.filter(|before| before.objects.name == *name) else {
+            return Ok(());
+        };
+        let suffix = before.digest.map_or_else(
+            || before.objects.version.modified_ns().to_string(),
+            |digest| digest.short(),
         );
-        Err(StoreError::ObjectStore { url: self.url.clone(), detail })
+        let from = self.path_of(&name.to_string());
+        self.store.copy(&from, &self.path_of(&format!("{name}.{suffix}"))).await
+    }
+
+    /// Writes the digest beside an object as b3sum writes it. Beside an encrypted one are two lines: what is in the store, and the
+    /// segment itself.
+    fn put_digest(
+        &self,
+        name: &ObjectName,
+        stored: &Digest,
+        plain: &Digest,
+    ) -> Result<(), StoreError> {
+        let mut text = format!("{stored}  {}\n", name.file());
+        if name.is_encrypted {
+            text = format!("{text}{plain}  {}\n", name.segment.file());
+        }
+        let path = self.path_of(&format!("{name}{DIGEST}"));
+        let put = self.runtime.block_on(self.store.put(&path, text.into_bytes().into()));
+        put.map(drop).map_err(|error| self.explain(&error, "write"))
     }
 
     /// The same store with `name` appended to the prefix.
@@ -210,54 +234,5 @@ impl Bucket {
             url: format!("{}/{name}", self.url.trim_end_matches('/')),
             ..self
         }
-    }
-}
-
-/// An object that is being uploaded.
-struct Object<'a, 'b, 'c> {
-    bucket: &'a Bucket,
-    name: &'a Name,
-    hasher: Hasher,
-    /// `None` when the store already has the bytes.
-    parts: Option<WriteMultipart>,
-    progress: &'a mut dyn Progress,
-    limiter: &'b mut RateLimiter<'c>,
-}
-
-impl FileSink<StoreError> for Object<'_, '_, '_> {
-    fn start(&mut self, from: u64, length: u64) -> Result<(), StoreError> {
-        self.progress.file_started(self.name, length, from);
-        // The file has grown since it was listed; an object cannot be continued.
-        if from > 0 && from < length {
-            let source =
-                std::io::Error::other(format!("{} was written to since it was listed", self.name));
-            return Err(StoreError::Link { to: self.bucket.url.clone(), source });
-        }
-        if from == 0 {
-            let path: Path = self.bucket.path_of(self.name.as_str());
-            let begun = self.bucket.runtime.block_on(self.bucket.store.put_multipart(&path));
-            let begun = begun.map_err(|error| self.bucket.explain(&error, "write"))?;
-            self.parts = Some(WriteMultipart::new_with_chunk_size(begun, PART));
-        }
-        Ok(())
-    }
-
-    fn data(&mut self, _at: u64, bytes: &[u8]) -> Result<(), StoreError> {
-        if let Some(parts) = &mut self.parts {
-            let written = self.bucket.runtime.block_on(async {
-                parts.wait_for_capacity(AHEAD).await?;
-                parts.write(bytes);
-                Ok::<_, Error>(())
-            });
-            written.map_err(|error| self.bucket.explain(&error, "write"))?;
-        }
-        self.hasher.update(bytes);
-        self.progress.received(bytes.len() as u64);
-        self.limiter.wait_after(bytes.len());
-        Ok(())
-    }
-
-    fn comparing(&mut self) -> Result<(), StoreError> {
-        Ok(())
     }
 }

@@ -177,19 +177,26 @@ impl Puller<'_, '_> {
         results: &Receiver<Result<Job, StoreError>>,
     ) -> Result<(), StoreError> {
         for entry in missing {
-            let job = match self.pull_one(&entry, &mut limiter) {
-                // Damaged in transit: pulled once more, from the beginning.
+            let pulled = match self.pull_one(&entry, &mut limiter) {
+                // Damaged in transit: pulled once more.
                 Err(StoreError::Digest { name }) => {
                     self.progress
                         .warning(&format!("{name} arrived damaged and is pulled once more"));
-                    self.pull_one(&entry, &mut limiter)?
+                    self.pull_one(&entry, &mut limiter)
+                }
+                pulled => pulled,
+            };
+            let job = match pulled {
+                Err(StoreError::Unread(why)) => {
+                    self.report.unread.push(why);
+                    continue;
                 }
                 // Deleted or written to since it was listed; the next pull handles it.
                 Err(StoreError::Refused { refusal, .. }) => {
                     self.progress.warning(&refusal.to_string());
                     continue;
                 }
-                other => other?,
+                pulled => pulled?,
             };
             // The receiving thread ends early only when this thread is gone.
             if jobs.send(job).is_err() {

@@ -15,6 +15,7 @@ from embodied_depth_trainer.data.frames import Frames
 from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.store import bucket, sources
 from embodied_depth_trainer.store.bucket import StoredObject, UnreachableError, download, patience, patient_pieces
+from embodied_depth_trainer.store.erase import erasure
 from embodied_depth_trainer.store.prepare import Report, Tools, prepare
 from embodied_depth_trainer.store.recipe import Recipe
 from embodied_depth_trainer.store.store import Store
@@ -254,6 +255,32 @@ def test_a_segment_that_another_person_put_into_the_bucket_trains_nothing(
     # What was refused is known and not downloaded again.
     assert main(command) == 0
     assert len(downloads) == 4
+
+
+def test_encrypted_segments_are_named_with_the_way_to_decrypt_them_and_others_are_prepared(
+    walk: Frames, tmp_path: Path, server: Address, capsys: pytest.CaptureFixture[str]
+) -> None:
+    way = f"pull-buffer {URL} DIR --identity key.txt"
+    objects = client(server)
+    for number in range(2):
+        objects.put_object(Bucket="fleet", Key=f"data/monday/recording_{number:04d}.mcap.age", Body=b"age")
+    objects.put_object(Bucket="fleet", Key="data/monday/recording_0000.mcap.age.blake3", Body=b"0" * 64)
+    with pytest.raises(TrainerError, match=r"left out: 2, such as monday/recording_0000\.mcap\.age") as error:
+        prepared(tmp_path / "store")
+    assert way in str(error.value)
+    record(tmp_path / "runs/tuesday", walk, [24])
+    upload(tmp_path / "runs", server)
+    assert prepared(tmp_path / "store")[0].frames == 24
+    assert way in capsys.readouterr().err
+
+
+def test_a_folder_of_encrypted_runs_is_not_erased_as_one_run(walk: Frames, tmp_path: Path, server: Address) -> None:
+    record(tmp_path / "runs", walk, [10])
+    upload(tmp_path / "runs", server)
+    store, _ = prepared(tmp_path / "store")
+    client(server).put_object(Bucket="fleet", Key="data/monday/recording_0000.mcap.age", Body=b"age")
+    with pytest.raises(TrainerError, match=r"holds other runs, for instance monday/recording_0000\.mcap\.age"):
+        erasure(store, URL)
 
 
 def test_a_bucket_that_cannot_be_read_and_one_without_segments_are_named(tmp_path: Path, server: Address) -> None:

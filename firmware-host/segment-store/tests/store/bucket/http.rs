@@ -7,6 +7,7 @@ use std::net::{TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use super::encrypted;
 use super::fleet::{SMALL, segment};
 use crate::common::pull_into;
 use hal::VirtualClock;
@@ -359,6 +360,47 @@ fn a_segment_uploaded_in_parts_over_http_is_complete() {
     assert!(state.objects["kitchen/recording_0000.mcap"] == whole);
     let digest = &state.objects["kitchen/recording_0000.mcap.blake3"];
     assert!(digest.starts_with(Digest::of(&whole).to_string().as_bytes()));
+}
+
+#[test]
+fn an_encrypted_segment_is_uploaded_in_parts_over_http_and_pulled_over_a_link_that_breaks() {
+    let whole = segment(1, 30, 700_000);
+    let server = Server::start(Fault::None, &[]);
+    let robot = robot(&whole);
+    let here = tempdir().unwrap();
+    let (encrypting, decrypting) = encrypted::kitchen();
+    let mut source = Directory::open(robot.path()).unwrap();
+    let report = server
+        .bucket()
+        .with_keys(&encrypting)
+        .upload(&mut source, &Options::default(), &mut VirtualClock::default(), &mut ())
+        .unwrap();
+    assert_eq!((report.files, report.bytes), (1, whole.len() as u64));
+    server.state.lock().unwrap().fault = Fault::Cut;
+    let mut breaks = 0;
+    let mut bucket = server.bucket().with_keys(&decrypting);
+    while let Err(error) = pull_into(&mut bucket, here.path(), Options::default()) {
+        assert!(error.kind() == ErrorKind::Link, "{error}");
+        breaks += 1;
+        assert!(breaks < 100);
+    }
+    assert!(breaks > 0);
+    assert!(fs::read(here.path().join("recording_0000.mcap")).unwrap() == whole);
+}
+
+#[test]
+fn an_empty_object_in_the_place_of_an_encrypted_segment_is_named_and_the_others_are_pulled() {
+    let objects = [
+        ("kitchen/run/recording_0000.mcap.age", Vec::new()),
+        ("kitchen/run/recording_0001.mcap", segment(1, SMALL, 100)),
+    ];
+    let server = Server::start(Fault::None, &objects);
+    let here = tempdir().unwrap();
+    let (_, decrypting) = encrypted::kitchen();
+    let mut bucket = server.bucket().with_keys(&decrypting);
+    let report = pull_into(&mut bucket, here.path(), Options::default()).unwrap();
+    assert_eq!((report.files, report.unread.len()), (1, 1));
+    assert!(report.unread[0].contains("run/recording_0000.mcap.age is damaged"), "{report:?}");
 }
 
 #[test]

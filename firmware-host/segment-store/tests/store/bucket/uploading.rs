@@ -11,10 +11,10 @@ use segment_store::source::{Directory, Listing, Source};
 use segment_store::{Digest, ErrorKind, FileSink, LocalCopy, Name, StoreError};
 use tempfile::{TempDir, tempdir};
 
-const NAMES: [&str; 3] =
+pub const NAMES: [&str; 3] =
     ["monday/recording_0000.mcap", "monday/recording_0001.mcap", "tuesday/recording_0000.mcap"];
 
-fn write(robot: &Path, name: &str, bytes: &[u8]) {
+pub fn write(robot: &Path, name: &str, bytes: &[u8]) {
     let path = robot.join(name);
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     fs::write(&path, bytes).unwrap();
@@ -23,7 +23,7 @@ fn write(robot: &Path, name: &str, bytes: &[u8]) {
 }
 
 /// Three small segments of two runs.
-fn robot() -> TempDir {
+pub fn robot() -> TempDir {
     let dir = tempdir().unwrap();
     for (seed, name) in NAMES.iter().enumerate() {
         write(dir.path(), name, &segment(seed as u64 + 1, SMALL, 100));
@@ -110,9 +110,9 @@ fn a_second_upload_sends_nothing_and_reads_only_unmarked_segments() {
 }
 
 /// Counts the files that are read.
-struct Fetches {
-    robot: Directory,
-    fetches: u64,
+pub struct Fetches {
+    pub robot: Directory,
+    pub fetches: u64,
 }
 
 impl Source for Fetches {
@@ -224,9 +224,9 @@ fn an_upload_interrupted_anywhere_leaves_no_partial_object_and_the_next_one_comp
 }
 
 /// A source whose link breaks after `bytes` bytes.
-struct EndsAfter {
-    robot: Directory,
-    bytes: u64,
+pub struct EndsAfter {
+    pub robot: Directory,
+    pub bytes: u64,
 }
 
 struct Ends<'a> {

@@ -19,7 +19,7 @@ from embodied_depth_trainer.store.bucket import StoredObject, delete_objects, li
 from embodied_depth_trainer.store.catalogue import CATALOGUE_FILE
 from embodied_depth_trainer.store.manifest import Run
 from embodied_depth_trainer.store.prepare import unlisted
-from embodied_depth_trainer.store.sources import is_url
+from embodied_depth_trainer.store.sources import is_encrypted, is_url
 from embodied_depth_trainer.store.store import Store
 from embodied_depth_trainer.store.version import read_version
 
@@ -118,11 +118,15 @@ def _named_by_others(store: Store, source: str) -> tuple[set[str | None], set[st
 def _objects(url: str) -> tuple[StoredObject, ...]:
     """All objects of a run. Refuses a URL below which there are several runs."""
     found = tuple(list_objects(url))
-    segments = [listed.path for listed in found if re.fullmatch(SEGMENT_NAME, listed.path.rpartition("/")[2])]
-    deeper = [path for path in segments if "/" in path]
+    deeper = [listed.path for listed in found if "/" in listed.path and _is_segment(listed)]
     if deeper:
         raise TrainerError(f"{url} holds other runs, for instance {deeper[0]}; nothing was erased; give one run")
     return found
+
+
+def _is_segment(listed: StoredObject) -> bool:
+    name = listed.path.rpartition("/")[2]
+    return is_encrypted(listed) or re.fullmatch(SEGMENT_NAME, name) is not None
 
 
 def _versions(store: Store, shards: set[str]) -> tuple[dict[str, int], list[str]]:

@@ -6,6 +6,7 @@ import fnmatch
 import os
 import re
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -17,6 +18,9 @@ from embodied_depth_trainer.errors import TrainerError
 from embodied_depth_trainer.files import process_name
 from embodied_depth_trainer.store.bucket import StoredObject, download, list_objects
 from embodied_depth_trainer.store.manifest import Entry
+
+# Suffix of a segment that `pull-buffer --encrypt-to` encrypted.
+ENCRYPTED = ".age"
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,12 @@ def is_url(source: Path | str) -> bool:
     return isinstance(source, str) and "://" in source
 
 
+def is_encrypted(listed: StoredObject) -> bool:
+    """Whether an object is an encrypted segment."""
+    name = listed.path.rpartition("/")[2]
+    return name.endswith(ENCRYPTED) and re.fullmatch(SEGMENT_NAME, name.removesuffix(ENCRYPTED)) is not None
+
+
 def find_runs(source: Path | str) -> Iterator[RecordedRun]:
     """All runs below a directory or a URL, as they are found, so that memory holds one of them at a time."""
     return _in_bucket(str(source)) if is_url(source) else _in_directory(Path(source))
@@ -141,12 +151,37 @@ def _in_bucket(url: str) -> Iterator[RecordedRun]:
     """The runs that `pull-buffer` uploaded, `RUN/recording_NNNN.mcap` at any depth. A listing has the objects of a
     folder one after the other. A store that lists in another order gives a run in several parts."""
     url = url.rstrip("/")
-    recorded = (RemoteSegment(url, listed) for listed in list_objects(url))
+    encrypted = _Encrypted()
+    recorded = (RemoteSegment(url, listed) for listed in list_objects(url) if not encrypted.has(listed))
     wanted = (segment for segment in recorded if re.fullmatch(SEGMENT_NAME, segment.name))
     is_empty = True
     for folder, parts in groupby(wanted, key=lambda segment: segment.listed.path.rpartition("/")[0]):
         is_empty = False
         in_order = sorted(parts, key=lambda segment: (len(segment.name), segment.name))
         yield RecordedRun(f"{url}/{folder}".rstrip("/"), tuple(in_order))
+    if encrypted.count:
+        left_out = (
+            f"{url}: encrypted segments are left out: {encrypted.count}, such as {encrypted.first}; decrypt them with "
+            f"`pull-buffer {url} DIR --identity key.txt`, and prepare DIR"
+        )
+        if is_empty:
+            raise TrainerError(left_out)
+        print(left_out, file=sys.stderr)
     if is_empty:
         raise TrainerError(f"{url} holds no recording_NNNN.mcap; give the URL that `pull-buffer` uploads to")
+
+
+@dataclass
+class _Encrypted:
+    """The encrypted segments of a listing."""
+
+    count: int = 0
+    first: str = ""
+
+    def has(self, listed: StoredObject) -> bool:
+        """Whether this object is one of them."""
+        if not is_encrypted(listed):
+            return False
+        self.first = self.first or listed.path
+        self.count += 1
+        return True
