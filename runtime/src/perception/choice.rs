@@ -166,8 +166,6 @@ pub(super) struct Chosen {
     pub inverse_depth: f32,
     /// Probability that it is right.
     pub probability: f32,
-    /// The probability that coarse depth of this frame is right; 0 without.
-    pub coarse: f32,
 }
 
 /// Chooses for all cells of a frame; keeps its buffers from frame to frame.
@@ -275,18 +273,26 @@ fn best(candidates: &[f32; CANDIDATES], logits: &[f32; CANDIDATES]) -> Chosen {
             chosen.inverse_depth = precise;
         }
     }
-    let probability = |logit: f32| 1.0 / (1.0 + (-logit).exp());
-    chosen.probability = if chosen.inverse_depth > 0.0 { probability(best) } else { 0.0 };
-    chosen.coarse = if candidates[0] > 0.0 { probability(logits[0]) } else { 0.0 };
+    let is_known = chosen.inverse_depth > 0.0;
+    chosen.probability = if is_known { 1.0 / (1.0 + (-best).exp()) } else { 0.0 };
     chosen
 }
 
 /// Sums of the cells up to [`REACH`] to each side.
+#[multiversion(targets("x86_64+avx2"))]
 fn sum_along(line: &[f32], sums: &mut [f32]) {
-    let last = line.len() - 1;
-    for (column, sum) in sums.iter_mut().enumerate() {
-        let around = column..=column + 2 * REACH;
-        *sum = around.map(|at| line[at.saturating_sub(REACH).min(last)]).sum();
+    let width = line.len();
+    // Columns from `first` to `end` have all their neighbours: these sums need no limits, and use the processor's vectors.
+    let first = REACH.min(width);
+    let end = width.saturating_sub(REACH).max(first);
+    sums.fill(0.0);
+    for step in 0..=2 * REACH {
+        for (sum, value) in sums[first..end].iter_mut().zip(&line[step.min(width)..]) {
+            *sum += value;
+        }
+        for column in (0..first).chain(end..width) {
+            sums[column] += line[(column + step).saturating_sub(REACH).min(width - 1)];
+        }
     }
 }
 
@@ -439,7 +445,6 @@ mod tests {
             assert_eq!(chosen.inverse_depth, depth, "cell {cell}");
             let probability = 1.0 / (1.0 + (-logits[best]).exp());
             assert!((f64::from(chosen.probability) - probability).abs() < 1e-4, "cell {cell}");
-            assert_eq!(chosen.coarse > 0.0, candidates[0] > 0.0);
         }
     }
 

@@ -102,10 +102,9 @@ hal::settings! {
         /// Logistic model where there are a filled depth and a wall: weights as in `joint_weights`.
         filled_wall_weights: [f32; 5] = [0.47, 0.57, 0.43, 0.18, 0.68], in -100.0..=100.0,
             source "cargo xtask accuracy --fit-dense";
-        /// Whether a small network chooses among coarse, recalled and filled depth and walls on a robot with a scan, instead of the
-        /// logistic models of walls. More depths are right, but more obstacles are marked in the map that are not there
-        /// (docs/accuracy.md).
-        choice: bool = false, source "cargo xtask accuracy --fit-choice";
+        /// Whether a small network chooses among coarse, recalled and filled depth and walls where there is a scan, after the
+        /// logistic models. The map takes what both agree on.
+        choice: bool = true, source "cargo xtask accuracy --fit-choice";
     }
 }
 

@@ -3,7 +3,7 @@
 //! Every cell of 4x4 pixels takes the more probable of coarse depth of this frame and the depth that the voxel map recalls
 //! (`voxel_map.rs`); where both agree, the probability rises. A cell for which neither is more probable than 50 % is filled from the
 //! cells around it (`fill.rs`). Last, a cell takes the wall or the floor that the scan promises (`walls.rs`) where that is more probable.
-//! With `dense.choice`, a small network then chooses anew among all four (`choice.rs`).
+//! Where there is a scan, a small network then chooses among all four (`choice.rs`): the best depth that there is without a larger network.
 //!
 //! What a map may believe of it is in `map_depth.rs`.
 
@@ -15,7 +15,6 @@ use super::choice::{CANDIDATES, Cell, Choice, FEATURES};
 use super::coarse::{CoarseDepth, SeenCells, shrink};
 use super::confidence::{belief_features, logistic, logit};
 use super::config::DenseConfig;
-use super::estimate::UNCONFIRMED;
 use super::fill::{Fill, Filled};
 use super::surround::{Surround, Surroundings};
 use super::upsample::Cells;
@@ -103,6 +102,8 @@ pub struct DenseDepth {
     /// Probability of coarse depth where no wall contradicts it: what the voxel map learns.
     learnable: Vec<f32>,
     grey: Vec<u16>,
+    /// The result before the choice.
+    before_choice: DepthEstimate,
     estimate: DepthEstimate,
 }
 
@@ -136,6 +137,7 @@ impl DenseDepth {
             without_walls: Vec::new(),
             learnable: vec![0.0; count],
             grey: vec![0; count],
+            before_choice: DepthEstimate::none(camera.width, camera.height),
             estimate: DepthEstimate::none(camera.width, camera.height),
             cells,
         }
@@ -161,18 +163,14 @@ impl DenseDepth {
         self.has_choice = self.config.choice && has_scan;
         self.join_walls();
         if self.has_choice {
+            let cells = cells(&self.cells, &self.joined, &self.confidence, &self.grey);
+            cells.upsample(seen.smooth, &mut self.before_choice);
             self.choose(seen);
         }
         if let Some(section) = moment.section {
             self.learn(seen, t_map_camera, section);
         }
-        let cells = Cells {
-            width: self.cells.width,
-            beliefs: &self.joined,
-            confidence: &self.confidence,
-            grey: &self.grey,
-            min_confidence: LEAST,
-        };
+        let cells = cells(&self.cells, &self.joined, &self.confidence, &self.grey);
         cells.upsample(seen.smooth, &mut self.estimate);
     }
 
@@ -180,6 +178,13 @@ impl DenseDepth {
     #[must_use]
     pub fn last(&self) -> &DepthEstimate {
         &self.estimate
+    }
+
+    /// The result of the last [`complete`](Self::complete) by the logistic models alone: the same as [`last`](Self::last) where there
+    /// was no choice.
+    #[must_use]
+    pub fn before_choice(&self) -> &DepthEstimate {
+        if self.has_choice { &self.before_choice } else { &self.estimate }
     }
 
     /// What every cell could have been, row-major; `cargo xtask accuracy` fits the probabilities with it.
@@ -309,15 +314,9 @@ impl DenseDepth {
         };
         let chosen = self.choice.update(self.joined.len(), self.cells.width, cell);
         for (cell, chosen) in chosen.iter().enumerate() {
-            let before = self.joined[cell].inverse_depth;
             self.joined[cell].inverse_depth = chosen.inverse_depth;
-            // A map takes what both ways found: so fewer obstacles are marked that are not there.
-            let most = if agree(before, chosen.inverse_depth) { 1.0 } else { UNCONFIRMED };
             let is_known = chosen.inverse_depth > 0.0;
-            let probability = chosen.probability.clamp(LEAST, most);
-            self.confidence[cell] = if is_known { probability } else { 0.0 };
-            // The blank wall of a kitchen would otherwise be recalled wherever coarse depth once found it by mistake.
-            self.learnable[cell] = seen.confidence[cell].min(chosen.coarse);
+            self.confidence[cell] = if is_known { chosen.probability.max(LEAST) } else { 0.0 };
         }
     }
 
@@ -339,6 +338,16 @@ impl DenseDepth {
         };
         self.voxels.learn(seen, &t_map_camera, &self.cells, section);
     }
+}
+
+/// The cells of `camera` whose depths are upsampled.
+fn cells<'a>(
+    camera: &CameraModel,
+    beliefs: &'a [Belief],
+    confidence: &'a [f32],
+    grey: &'a [u16],
+) -> Cells<'a> {
+    Cells { width: camera.width, beliefs, confidence, grey, min_confidence: LEAST }
 }
 
 impl DenseConfig {
@@ -511,46 +520,46 @@ mod tests {
         assert!(right > 0.95, "{right}");
     }
 
-    fn with_choice() -> DenseConfig {
-        DenseConfig { choice: true, ..DenseConfig::default() }
+    fn without_choice() -> DenseConfig {
+        DenseConfig { choice: false, ..DenseConfig::default() }
     }
 
     #[test]
     fn the_choice_leaves_depth_that_was_seen_before_a_wall_and_takes_the_wall_before_anything_was_seen()
      {
-        let mut robot = Robot::with_scanner(with_choice(), 4.0);
+        let mut robot = Robot::with_scanner(DenseConfig::default(), 4.0);
         drive(&mut robot);
         let right = robot.right(&pose([0.45, 0.0, 0.0], 0.0));
         assert!(right > 0.95, "{right}");
         let at = pose([0.0; 3], 0.0);
-        let mut robot = Robot::with_scanner(with_choice(), 2.5);
+        let mut robot = Robot::with_scanner(DenseConfig::default(), 2.5);
         assert!(!robot.process(&at));
         assert!(robot.right(&at) > 0.95, "{}", robot.right(&at));
     }
 
     #[test]
     fn without_a_scan_there_is_no_choice() {
-        let mut robot = Robot::with_scanner(with_choice(), 2.5);
+        let mut robot = Robot::with_scanner(DenseConfig::default(), 2.5);
         robot.dense.walls = Walls::default();
-        let mut without = Robot::with_scanner(DenseConfig::default(), 2.5);
+        let mut without = Robot::with_scanner(without_choice(), 2.5);
         without.dense.walls = Walls::default();
         drive(&mut robot);
         drive(&mut without);
         assert!(robot.dense.candidates().all(|cell| cell.choice.is_none()));
         assert_eq!(robot.dense.last(), without.dense.last());
+        assert_eq!(robot.dense.before_choice(), robot.dense.last());
     }
 
     #[test]
-    fn what_the_choice_does_not_share_with_the_logistic_models_stays_below_what_a_map_takes() {
-        let mut robot = Robot::with_scanner(with_choice(), 4.0);
-        let mut without = Robot::with_scanner(DenseConfig::default(), 4.0);
-        drive(&mut robot);
-        drive(&mut without);
-        let cells = robot.dense.joined.iter().zip(&without.dense.joined);
-        for ((own, before), confidence) in cells.zip(&robot.dense.confidence) {
-            let is_shared = agree(own.inverse_depth, before.inverse_depth);
-            assert!(is_shared || *confidence <= UNCONFIRMED, "{own:?} {before:?}");
-        }
+    fn depth_before_the_choice_is_that_of_a_robot_without_it() {
+        // Nothing was learnt yet, so that both recall the same.
+        let at = pose([0.0; 3], 0.0);
+        let mut robot = Robot::with_scanner(DenseConfig::default(), 2.5);
+        let mut without = Robot::with_scanner(without_choice(), 2.5);
+        robot.process(&at);
+        without.process(&at);
+        assert_eq!(robot.dense.before_choice(), without.dense.last());
+        assert_ne!(robot.dense.last(), without.dense.last());
     }
 
     #[test]

@@ -438,7 +438,8 @@ impl Robot {
                     self.joined.join(dense);
                 }
                 if self.config.depth_source == DepthSource::Network {
-                    map_depth(&mut self.believed, &self.joined, seen);
+                    let dense = given.map_or(&self.joined, |_| self.dense.before_choice());
+                    map_depth(&mut self.believed, dense, &self.joined, seen);
                 }
                 network.doubt_unseen(seen);
             }
@@ -472,7 +473,12 @@ impl Robot {
             self.dense.complete(&self.coarse, &moment);
             if self.config.depth_source == DepthSource::Dense {
                 let coarse = coarse.is_ok().then(|| self.coarse.last());
-                map_depth(&mut self.believed, self.dense.last(), coarse);
+                map_depth(
+                    &mut self.believed,
+                    self.dense.before_choice(),
+                    self.dense.last(),
+                    coarse,
+                );
             }
         }
         completes

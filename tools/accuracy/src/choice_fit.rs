@@ -1,6 +1,4 @@
 //! Fits the network that chooses the depth of every cell (`runtime/src/perception/choice.rs`) to simulated homes with ground truth.
-//!
-//! What the voxel map learns depends on the weights that are compiled in, so a fit that begins far away is repeated once.
 
 use std::fmt::Write as _;
 use std::path::Path;
